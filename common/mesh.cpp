@@ -1,0 +1,142 @@
+#include "common/mesh.h"
+
+#include <bit>
+#include <cstring>
+#include <stdexcept>
+#include <type_traits>
+
+namespace tessera {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "blobs are little-endian");
+static_assert(sizeof(vec3) == 12 && sizeof(vec2) == 8 && sizeof(uvec3) == 12);
+
+constexpr std::uint32_t mesh_magic = 0x314d5354;     // "TSM1"
+constexpr std::uint32_t texture_magic = 0x31545354;  // "TST1"
+
+class Writer {
+public:
+    template <class T>
+    void value(const T& v) {
+        static_assert(std::is_trivially_copyable_v<T>);
+        append(&v, sizeof v);
+    }
+    template <class T>
+    void array(const std::vector<T>& v) {
+        value(std::uint64_t(v.size()));
+        append(v.data(), v.size() * sizeof(T));
+    }
+    Bytes take() { return std::move(bytes_); }
+
+private:
+    void append(const void* data, std::size_t size) {
+        const auto* p = static_cast<const std::byte*>(data);
+        bytes_.insert(bytes_.end(), p, p + size);
+    }
+    Bytes bytes_;
+};
+
+class Reader {
+public:
+    explicit Reader(std::span<const std::byte> bytes) : rest_(bytes) {}
+
+    template <class T>
+    T value() {
+        static_assert(std::is_trivially_copyable_v<T>);
+        T v;
+        copy_out(&v, sizeof v);
+        return v;
+    }
+    template <class T>
+    std::vector<T> array() {
+        const auto count = value<std::uint64_t>();
+        if (count > rest_.size() / sizeof(T)) throw std::runtime_error("blob ends early");
+        std::vector<T> v(count);
+        copy_out(v.data(), count * sizeof(T));
+        return v;
+    }
+    void expect_end() const {
+        if (!rest_.empty()) throw std::runtime_error("blob has bytes left over");
+    }
+
+private:
+    void copy_out(void* to, std::size_t size) {
+        if (size > rest_.size()) throw std::runtime_error("blob ends early");
+        if (size > 0) std::memcpy(to, rest_.data(), size);
+        rest_ = rest_.subspan(size);
+    }
+    std::span<const std::byte> rest_;
+};
+
+}  // namespace
+
+Bytes encode(const Mesh& mesh) {
+    Writer out;
+    out.value(mesh_magic);
+    out.array(mesh.positions);
+    out.array(mesh.normals);
+    out.array(mesh.texcoords);
+    out.array(mesh.triangles);
+    out.array(mesh.slots);
+    return out.take();
+}
+
+Mesh decode_mesh(std::span<const std::byte> bytes) {
+    Reader in(bytes);
+    if (in.value<std::uint32_t>() != mesh_magic) throw std::runtime_error("blob is not a mesh");
+    Mesh mesh;
+    mesh.positions = in.array<vec3>();
+    mesh.normals = in.array<vec3>();
+    mesh.texcoords = in.array<vec2>();
+    mesh.triangles = in.array<uvec3>();
+    mesh.slots = in.array<std::uint16_t>();
+    in.expect_end();
+    const auto fits = [](std::size_t optional, std::size_t count) {
+        return optional == 0 || optional == count;
+    };
+    if (!fits(mesh.normals.size(), mesh.positions.size()) ||
+        !fits(mesh.texcoords.size(), mesh.positions.size()) ||
+        !fits(mesh.slots.size(), mesh.triangles.size()))
+        throw std::runtime_error("mesh arrays disagree in length");
+    for (const uvec3& t : mesh.triangles)
+        if (std::max({t.x, t.y, t.z}) >= mesh.positions.size())
+            throw std::runtime_error("mesh index out of range");
+    return mesh;
+}
+
+Bytes encode(const Texture& texture) {
+    Writer out;
+    out.value(texture_magic);
+    out.value(texture.width);
+    out.value(texture.height);
+    out.value(std::uint8_t(texture.srgb));
+    out.value(texture.wrap_u);
+    out.value(texture.wrap_v);
+    out.array(texture.rgba);
+    return out.take();
+}
+
+Texture decode_texture(std::span<const std::byte> bytes) {
+    Reader in(bytes);
+    if (in.value<std::uint32_t>() != texture_magic)
+        throw std::runtime_error("blob is not a texture");
+    const auto wrap = [&] {
+        const auto value = in.value<std::uint8_t>();
+        if (value > std::uint8_t(Wrap::clamp)) throw std::runtime_error("texture wrap unknown");
+        return Wrap(value);
+    };
+    Texture texture;
+    texture.width = in.value<std::uint32_t>();
+    texture.height = in.value<std::uint32_t>();
+    texture.srgb = in.value<std::uint8_t>() != 0;
+    texture.wrap_u = wrap();
+    texture.wrap_v = wrap();
+    texture.rgba = in.array<std::uint8_t>();
+    in.expect_end();
+    if (texture.width == 0 || texture.height == 0 ||
+        texture.rgba.size() != 4 * std::uint64_t(texture.width) * texture.height)
+        throw std::runtime_error("texture size and pixels disagree");
+    return texture;
+}
+
+}  // namespace tessera

@@ -1,0 +1,215 @@
+// Who says what to whom: the protocol as plain values. proto/protocol.proto is the public contract;
+// common/messages.cpp is the only place where Protocol Buffers become values and back.
+//
+//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
+//   viewer -> server   Hello, SceneUpdate, BlobChunk*, FrameRequest, FrameCancel, StatusRequest,
+//   Ping, Pong server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, FrameBegin, TileTask,
+//   FrameEnd, SceneDrop, Ping server -> viewer   Welcome | Refused, BlobRequest, SceneReady,
+//   FrameProgress, PictureChunk*,
+//                      FrameDone, Failure, Status, Ping, Pong
+// (* carries a raw payload after the Protocol Buffers message)
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "common/blob.h"
+#include "common/scene_delta.h"
+#include "common/tile.h"
+#include "common/tone_map.h"
+
+namespace tessera {
+
+/// Raised when a message changes meaning; peers of different versions refuse each other.
+inline constexpr std::uint32_t protocol_version = 1;
+
+/// The peer broke the protocol: closes its session and no other.
+struct ProtocolError : std::runtime_error {
+    using std::runtime_error::runtime_error;
+};
+
+enum class Role : std::uint8_t { worker, viewer };
+
+/// First message of every connection.
+struct Hello {
+    std::uint32_t protocol = protocol_version;
+    Role role = Role::viewer;
+    std::string build;  ///< program version, for people
+    std::string token;
+    std::string name;           ///< how logs and status call this peer
+    std::uint32_t threads = 0;  ///< worker: render threads
+};
+struct Welcome {
+    std::uint64_t peer = 0;
+    std::string build;
+    std::vector<std::string> scenes;  ///< scenes that the server holds, first loaded first
+};
+/// The server will not talk to this peer; a sentence that says what to do. Closes the connection.
+struct Refused {
+    std::string reason;
+};
+
+/// Brings a scene from delta.base_version to delta.next_version. The receiver answers with
+/// BlobRequest for what it lacks (possibly nothing) and, when it holds everything, with SceneReady.
+struct SceneUpdate {
+    std::string scene;
+    SceneDelta delta;
+};
+struct BlobRequest {
+    std::string scene;
+    std::vector<BlobId> blobs;
+};
+/// Bytes [offset, offset + payload) of a blob of `total` bytes, in order.
+struct BlobChunk {
+    BlobId blob;
+    std::uint64_t offset = 0;
+    std::uint64_t total = 0;
+};
+struct SceneReady {
+    std::string scene;
+    std::uint64_t version = 0;
+    double build_seconds = 0;
+    std::vector<std::string> modelled;  ///< ScenePlan
+    std::vector<std::string> left_out;
+};
+struct SceneDrop {
+    std::string scene;
+};
+
+/// How the picture shall come back.
+enum class PictureFormat : std::uint8_t {
+    linear_float,  ///< 32-bit floats, linear
+    srgb8,         ///< 8-bit RGB, tone mapped on the server
+};
+/// Asks for one picture; spec.frame and spec.version are the server's to fill.
+struct FrameRequest {
+    std::uint64_t request = 0;  ///< the viewer's own number, echoed in every answer
+    FrameSpec spec;
+    PictureFormat format = PictureFormat::linear_float;
+    ToneMap tone_map;
+    double time_limit = 0;   ///< seconds of rendering after which passes stop; 0: none
+    double error_limit = 0;  ///< error estimate at which passes stop; 0: none
+};
+struct FrameCancel {
+    std::uint64_t request = 0;
+};
+struct FrameProgress {
+    std::uint64_t request = 0;
+    std::uint64_t tiles_done = 0;  ///< tasks, over all passes
+    std::uint64_t tiles_total = 0;
+    std::uint32_t passes_done = 0;
+    std::uint32_t workers = 0;
+    double error_estimate = 0;
+};
+/// Bytes [offset, offset + payload) of a channel's pixels: rows from the top, interleaved,
+/// little-endian. The picture itself has channel `radiance`.
+struct PictureChunk {
+    std::uint64_t request = 0;
+    Channel channel = Channel::radiance;
+    PictureFormat format = PictureFormat::linear_float;
+    std::uint32_t width = 0;
+    std::uint32_t height = 0;
+    std::uint32_t components = 3;
+    std::uint64_t offset = 0;
+    std::uint64_t total = 0;
+};
+struct WorkerShare {
+    std::string name;
+    std::uint32_t threads = 0;
+    std::uint64_t tiles = 0;
+    std::uint64_t rays = 0;
+};
+struct FrameStatistics {
+    double build_seconds = 0;   ///< the slowest worker's
+    double render_seconds = 0;  ///< first tile handed out to last pixel
+    std::uint32_t passes = 0;
+    std::uint64_t rays = 0;
+    std::uint64_t sanitised = 0;
+    std::uint64_t tiles_reissued = 0;
+    double error_estimate = 0;  ///< standard error of the mean, RMS over pixels; 0 when unknown
+    std::vector<std::string> modelled;
+    std::vector<std::string> left_out;
+    std::vector<WorkerShare> workers;
+};
+/// Follows the last PictureChunk.
+struct FrameDone {
+    std::uint64_t request = 0;
+    FrameStatistics statistics;
+};
+
+struct FrameBegin {
+    FrameSpec spec;
+};
+/// The frame is finished or superseded: drop what is kept for it and its tasks not yet begun.
+struct FrameEnd {
+    std::uint64_t frame = 0;
+};
+
+/// Something asked for cannot be done; `request` is 0 when it concerns the whole session.
+struct Failure {
+    std::uint64_t request = 0;
+    std::string reason;
+};
+
+struct StatusRequest {};
+struct WorkerStatus {
+    std::uint64_t peer = 0;
+    std::string name;
+    std::string address;
+    std::uint32_t threads = 0;
+    std::uint32_t leases = 0;  ///< tasks handed out and not returned
+    std::uint64_t tiles = 0;
+    std::uint64_t rays = 0;
+    double round_trip_seconds = 0;
+};
+struct SceneStatus {
+    std::string name;
+    std::uint64_t version = 0;
+    std::uint64_t instances = 0;
+    std::uint64_t bytes = 0;  ///< meshes and textures
+};
+struct Status {
+    std::string build;
+    double uptime_seconds = 0;
+    std::uint32_t viewers = 0;
+    std::uint32_t frames_in_flight = 0;
+    std::uint64_t frames_done = 0;
+    std::vector<SceneStatus> scenes;
+    std::vector<WorkerStatus> workers;
+};
+
+struct Ping {
+    std::uint64_t stamp = 0;  ///< the sender's own; comes back in Pong
+};
+struct Pong {
+    std::uint64_t stamp = 0;
+};
+
+using MessageBody = std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk,
+                                 SceneReady, SceneDrop, FrameRequest, FrameCancel, FrameProgress,
+                                 PictureChunk, FrameDone, FrameBegin, FrameEnd, TileTask,
+                                 TileResult, Failure, StatusRequest, Status, Ping, Pong>;
+
+/// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
+struct Payload {
+    std::shared_ptr<const void> owner;
+    std::span<const std::byte> bytes;
+};
+
+struct Message {
+    MessageBody body;
+    Payload payload;
+
+    template <class T>
+    const T* get() const {
+        return std::get_if<T>(&body);
+    }
+};
+
+}  // namespace tessera

@@ -1,0 +1,90 @@
+#include "common/scene.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <set>
+#include <stdexcept>
+
+namespace tessera {
+namespace {
+
+std::uint32_t index_of(std::vector<BlobId>& table, const BlobId& id) {
+    const auto it = std::find(table.begin(), table.end(), id);
+    if (it == table.end()) table.push_back(id);
+    return std::uint32_t(it - table.begin());
+}
+
+void require(bool good, const char* what, std::size_t index, const char* problem) {
+    if (!good) throw std::runtime_error(fmt::format("{} {}: {}", what, index, problem));
+}
+
+bool is_finite(const TextureMap& m) {
+    return std::isfinite(m.offset.x) && std::isfinite(m.offset.y) && std::isfinite(m.scale.x) &&
+           std::isfinite(m.scale.y) && std::isfinite(m.rotation);
+}
+
+bool is_finite(const mat4& m) {
+    for (int column = 0; column < 4; ++column)
+        for (int row = 0; row < 4; ++row)
+            if (!std::isfinite(m[column][row])) return false;
+    return true;
+}
+
+void validate_material(const Scene& scene, std::size_t i) {
+    const Material& m = scene.materials[i];
+    for (const TextureMap* map : {&m.base_color_map, &m.metallic_roughness_map, &m.emission_map}) {
+        require(map->texture >= -1 && map->texture < std::int64_t(scene.textures.size()),
+                "material", i, "texture index out of range");
+        require(is_finite(*map), "material", i, "texture transform is not finite");
+    }
+    require(tessera::is_finite(m.base_color) && tessera::is_finite(m.emission) &&
+                std::isfinite(m.metallic) && std::isfinite(m.roughness),
+            "material", i, "values are not finite");
+}
+
+}  // namespace
+
+std::uint32_t add_mesh(SceneBundle& bundle, const Mesh& mesh) {
+    return index_of(bundle.scene.meshes, bundle.blobs.insert(encode(mesh)));
+}
+
+std::uint32_t add_texture(SceneBundle& bundle, const Texture& texture) {
+    return index_of(bundle.scene.textures, bundle.blobs.insert(encode(texture)));
+}
+
+std::vector<BlobId> blobs_of(const Scene& scene) {
+    std::set<BlobId> ids(scene.meshes.begin(), scene.meshes.end());
+    ids.insert(scene.textures.begin(), scene.textures.end());
+    return {ids.begin(), ids.end()};
+}
+
+void validate(const Scene& scene) {
+    for (std::size_t i = 0; i < scene.materials.size(); ++i) validate_material(scene, i);
+    for (std::size_t i = 0; i < scene.objects.size(); ++i) {
+        const Object& object = scene.objects[i];
+        require(object.mesh < scene.meshes.size(), "object", i, "mesh index out of range");
+        for (const std::uint32_t material : object.materials)
+            require(material < scene.materials.size(), "object", i, "material index out of range");
+    }
+    for (std::size_t i = 0; i < scene.instances.size(); ++i) {
+        const Instance& instance = scene.instances[i];
+        require(instance.object < scene.objects.size(), "instance", i, "object index out of range");
+        require(is_finite(instance.world_from_object), "instance", i, "transform is not finite");
+    }
+    for (std::size_t i = 0; i < scene.lights.size(); ++i) {
+        const Light& light = scene.lights[i];
+        require(tessera::is_finite(light.position) && tessera::is_finite(light.direction) &&
+                    tessera::is_finite(light.intensity) && std::isfinite(light.inner_angle) &&
+                    std::isfinite(light.outer_angle),
+                "light", i, "values are not finite");
+    }
+    for (std::size_t i = 0; i < scene.cameras.size(); ++i) {
+        const Camera& camera = scene.cameras[i];
+        require(tessera::is_finite(camera.eye) && tessera::is_finite(camera.at) &&
+                    tessera::is_finite(camera.up) && std::isfinite(camera.fov_y),
+                "camera", i, "values are not finite");
+    }
+}
+
+}  // namespace tessera
