@@ -112,7 +112,7 @@ struct RenderClient::State {
         for (;;) {
             const Message message = co_await receive();
             if (const auto* request = message.get<BlobRequest>())
-                co_await send_blobs(*connection, bundle.blobs, request->blobs);
+                co_await send_blobs(connection, bundle.blobs, request->blobs);
             else if (message.get<SceneReady>())
                 co_return;
         }

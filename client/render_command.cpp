@@ -14,6 +14,7 @@
 #include "client/render_client.h"
 #include "common/check.h"
 #include "common/image_io.h"
+#include "common/message_codec.h"
 #include "common/scene_bounds.h"
 #include "common/scene_io.h"
 
@@ -55,11 +56,15 @@ constexpr std::uint32_t passes_without_end = 1u << 20;
 ImageSize parse_size(const std::string& text) {
     ImageSize size;
     char x = 0, rest = 0;
-    if (std::sscanf(text.c_str(), "%d%c%d%c", &size.width, &x, &size.height, &rest) != 3 ||
-        x != 'x' || std::min(size.width, size.height) < 1 ||
-        std::max(size.width, size.height) > 16384)
+    const bool parsed =
+        std::sscanf(text.c_str(), "%d%c%d%c", &size.width, &x, &size.height, &rest) == 3 &&
+        x == 'x';
+    if (!parsed || std::min(size.width, size.height) < 1 ||
+        std::max(size.width, size.height) > max_image_side || size.pixels() > max_image_pixels)
         throw CLI::ValidationError(
-            "--size", "`" + text + "` is not WIDTHxHEIGHT with 1 to 16384 pixels each");
+            "--size",
+            fmt::format("`{}` is not WIDTHxHEIGHT, each at most {} and together at most {} pixels",
+                        text, max_image_side, max_image_pixels));
     return size;
 }
 
