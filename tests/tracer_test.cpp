@@ -87,7 +87,7 @@ bool agree(const Hit& a, const Hit& b) {
 
 class TracerTest : public testing::TestWithParam<TestScene> {};
 
-constexpr auto name_of = [](const auto& info) { return info.param.name; };
+constexpr auto name_of = [](const auto& scene) { return scene.param.name; };
 
 struct Tally {
     int rays = 0;
