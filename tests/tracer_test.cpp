@@ -151,5 +151,124 @@ TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 17000); }
 
 INSTANTIATE_TEST_SUITE_P(Small, TracerTest, testing::ValuesIn(small_scenes()), name_of);
 
+/// The geometry of a whole scene.
+TestScene test_scene(std::string name, const SceneBundle& bundle) {
+    TestScene out{std::move(name), {}, {}};
+    for (const Object& object : bundle.scene.objects)
+        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    for (const Instance& instance : bundle.scene.instances)
+        out.instances.push_back({instance.object, instance.world_from_object});
+    return out;
+}
+
+/// A few rays by brute force, many against Embree.
+void compare(const TestScene& scene, int count) {
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, tracer->bounds(), 3);
+    for (int i = 0; i < 100; ++i) {
+        const Ray ray = maker.ray(i % RayMaker::kinds);
+        EXPECT_EQ(tracer->closest_hit(ray), brute_force(scene, ray)) << scene.name << " ray " << i;
+    }
+    compare_with_embree(scene, count);
+}
+
+TEST(Tracer, AgreesOnGeneratedScenes) {
+    for (const GeneratedScene& scene : generated_scenes())
+        compare(test_scene(scene.name, *generate_scene(scene.name)), 5000);
+}
+
+/// Rays from inside a closed surface to its edges and vertices: one that gets out has slipped
+/// between two triangles.
+void expect_watertight(const TestScene& scene, std::uint32_t seed, int count) {
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    const Mesh& mesh = scene.meshes[0];
+    Random random(seed);
+    std::vector<Ray> rays;
+    for (int i = 0; i < count; ++i) {
+        const uvec3& v = mesh.triangles[random() % mesh.triangles.size()];
+        const vec3 &a = mesh.positions[v.x], &b = mesh.positions[v.y];
+        const vec3 target = i % 4 == 0 ? a : a + uniform(random, 0, 1) * (b - a);
+        const vec3 org = 0.5f * uniform_point(random, {vec3(-0.5f), vec3(0.5f)});
+        const mat4& m = scene.instances[0].world_from_object;
+        rays.push_back({vec3(m * vec4(org, 1)), 0, vec3(m * vec4(target - org, 0)), infinity});
+    }
+    std::vector<std::uint8_t> blocked(rays.size());
+    tracer->occluded(rays, blocked);
+    EXPECT_EQ(std::ranges::count(blocked, 0), 0) << scene.name;
+}
+
+TEST(Tracer, ClosedSurfacesDoNotLeak) {
+    expect_watertight(scene_of("sphere", sphere_mesh(40, 53, 1)), 21, 500000);
+    expect_watertight(scene_of("coarse", sphere_mesh(5, 7, 1)), 22, 250000);
+    Mesh box;
+    add_box(box, {vec3(-1), vec3(1)});
+    expect_watertight(scene_of("box", box), 23, 250000);
+    const mat4 turned = scale(rotate(mat4(1), 0.9f, vec3(1, 2, 3)), vec3(2, -1, 0.7f));
+    expect_watertight({"turned", {sphere_mesh(40, 53, 1)}, {{0, turned}}}, 24, 250000);
+}
+
+TEST(Tracer, NanRaysAndEmptySegmentsHitNothing) {
+    const TestScene scene = scene_of("room", room_mesh());
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
+    const float nan = std::numeric_limits<float>::quiet_NaN();
+    const vec3 centre = tracer->bounds().centre();
+    for (const Ray& ray :
+         {Ray{vec3(nan), 0, vec3(1, 0, 0), infinity}, Ray{centre, 0, vec3(nan, 0, 1), infinity},
+          Ray{centre, 0, vec3(0), infinity}, Ray{centre, 5, vec3(1, 0, 0), 4},
+          Ray{centre, 0, vec3(1, 0, 0), nan}}) {
+        EXPECT_FALSE(tracer->closest_hit(ray).valid());
+        EXPECT_FALSE(tracer->occluded(ray));
+    }
+}
+
+/// The interval is open: a hit at tmin or tmax exactly is none.
+TEST(Tracer, HitsLieStrictlyInsideTheSegment) {
+    Mesh mesh;
+    add_triangle(mesh, vec3(-1, -1, 2), vec3(1, -1, 2), vec3(0, 1, 2));
+    for (const TracerKind kind : {TracerKind::kdtree, TracerKind::embree}) {
+        const auto tracer =
+            build_tracer(kind, {{mesh.positions, mesh.triangles}}, {{0, mat4(1)}}, 1);
+        const auto hits = [&](float tmin, float tmax) {
+            return tracer->closest_hit({vec3(0), tmin, vec3(0, 0, 1), tmax}).valid();
+        };
+        EXPECT_TRUE(hits(0, 2.0001f));
+        EXPECT_FALSE(hits(0, 2));
+        EXPECT_TRUE(hits(1.9999f, 3));
+        EXPECT_FALSE(hits(2, 3));
+    }
+}
+
+TEST(Tracer, OfEqualHitsTheLowestInstanceAndTriangleWins) {
+    Mesh mesh;
+    for (int i = 0; i < 5; ++i) add_triangle(mesh, vec3(-1, -1, 2), vec3(1, -1, 2), vec3(0, 1, 2));
+    const std::vector<TracerInstance> instances(3, TracerInstance{0, mat4(1)});
+    const auto tracer =
+        build_tracer(TracerKind::kdtree, {{mesh.positions, mesh.triangles}}, instances, 1);
+    const Hit hit = tracer->closest_hit({vec3(0), 0, vec3(0, 0, 1), infinity});
+    EXPECT_EQ(hit.instance, 0u);
+    EXPECT_EQ(hit.triangle, 0u);
+    EXPECT_EQ(hit.t, 2);
+    // Weights of the second and third vertex lead back to the point.
+    const vec3 p = (1 - hit.u - hit.v) * mesh.positions[0] + hit.u * mesh.positions[1] +
+                   hit.v * mesh.positions[2];
+    EXPECT_LT(length(p - vec3(0, 0, 2)), 1e-6f);
+}
+
+/// As many instances as a forest has trees.
+TEST(Tracer, TracesThousandsOfInstances) {
+    TestScene scene{"forest", {sphere_mesh(6, 7, 0.5f)}, {}};
+    Random random(8);
+    for (int i = 0; i < 28000; ++i)
+        scene.instances.push_back(
+            {0, translate(mat4(1), uniform_point(random, {vec3(0), vec3(170, 1, 170)}))});
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, tracer->bounds(), 4);
+    compare_with_embree(scene, 2000);
+    for (int i = 0; i < 10; ++i) {
+        const Ray ray = maker.ray(i % RayMaker::kinds);
+        EXPECT_EQ(tracer->closest_hit(ray), brute_force(scene, ray));
+    }
+}
+
 }  // namespace
 }  // namespace tessera
