@@ -4,7 +4,11 @@
 
 #include <gtest/gtest.h>
 
+#include <filesystem>
+
+#include "common/check.h"
 #include "common/generator.h"
+#include "common/scene_io.h"
 #include "tests/tracer_scenes.h"
 #include "worker/affine.h"
 #include "worker/triangle.h"
@@ -147,7 +151,7 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
         }
 }
 
-TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 17000); }
+TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 15000); }
 
 INSTANTIATE_TEST_SUITE_P(Small, TracerTest, testing::ValuesIn(small_scenes()), name_of);
 
@@ -165,7 +169,7 @@ TestScene test_scene(std::string name, const SceneBundle& bundle) {
 void compare(const TestScene& scene, int count) {
     const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
     RayMaker maker(scene, tracer->bounds(), 3);
-    for (int i = 0; i < 100; ++i) {
+    for (int i = 0; i < 30; ++i) {
         const Ray ray = maker.ray(i % RayMaker::kinds);
         EXPECT_EQ(tracer->closest_hit(ray), brute_force(scene, ray)) << scene.name << " ray " << i;
     }
@@ -175,6 +179,27 @@ void compare(const TestScene& scene, int count) {
 TEST(Tracer, AgreesOnGeneratedScenes) {
     for (const GeneratedScene& scene : generated_scenes())
         compare(test_scene(scene.name, *generate_scene(scene.name)), 5000);
+}
+
+TEST(Tracer, AgreesOnSharedScenes) {
+    namespace fs = std::filesystem;
+    const fs::path scenes = fs::path(TESSERA_SHARED_DIR) / "scenes";
+    if (!fs::exists(scenes)) GTEST_SKIP() << scenes << " is not there";
+    compare(test_scene("conference", load_ply(scenes / "conference/conference.ply").bundle), 4000);
+    int loaded = 0;
+    for (const auto& entry : fs::recursive_directory_iterator(scenes / "torture")) {
+        const std::string extension = entry.path().extension();
+        if (extension != ".obj" && extension != ".ply" && extension != ".gltf" &&
+            extension != ".glb")
+            continue;
+        try {
+            compare(test_scene(entry.path().filename(), load_scene(entry.path()).bundle), 2000);
+            ++loaded;
+        } catch (const UserError& refused) {
+            std::cout << refused.what() << "\n";
+        }
+    }
+    EXPECT_GT(loaded, 5);
 }
 
 /// Rays from inside a closed surface to its edges and vertices: one that gets out has slipped
