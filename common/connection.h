@@ -14,6 +14,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "common/framing.h"
 #include "common/message_codec.h"
@@ -62,7 +63,8 @@ public:
 
     /// Closes at once; `receive` and `wait_until_drained` end with operation_aborted.
     void close();
-    /// Closes once everything queued has been sent, or after two seconds.
+    /// Closes once everything queued has been sent, or when the peer takes none of it for two
+    /// seconds.
     asio::awaitable<void> close_when_sent();
     bool open() const { return socket_.is_open(); }
     /// "host:port" of the peer, for logs.
@@ -72,13 +74,18 @@ private:
     using Lane = std::deque<EncodedMessage>;
 
     void enqueue(Lane& lane, Message message);
+    /// Messages that go out with one system call, all of one lane.
+    std::vector<EncodedMessage> take_batch();
+    /// Runs while anything is queued.
     asio::awaitable<void> write_all();
+    /// Returns when something was sent or the connection closed.
+    asio::awaitable<void> progress();
     asio::awaitable<void> read_exactly(asio::mutable_buffer into,
                                        std::optional<std::chrono::steady_clock::duration> silence);
+    /// Lets `timer` close the connection after `time` unless armed again or disarmed before.
     void arm(asio::steady_timer& timer, std::chrono::steady_clock::duration time,
              const char* complaint);
     void close_for(const std::string& complaint);
-    [[noreturn]] void rethrow(const boost::system::system_error& error) const;
 
     tcp::socket socket_;
     ConnectionConfig config_;

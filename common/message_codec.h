@@ -15,6 +15,8 @@ namespace tessera {
 inline constexpr int max_image_side = 16384;
 /// Largest picture in pixels: 8192 x 8192, about 4 GB of float channels on the server.
 inline constexpr std::uint64_t max_image_pixels = std::uint64_t(1) << 26;
+/// More tiles than a picture of that size can have.
+inline constexpr std::uint32_t max_tiles = 1u << 20;
 inline constexpr std::uint32_t max_passes = 1u << 24;
 inline constexpr std::uint32_t max_vpls = 1u << 16;
 inline constexpr std::uint32_t max_interleave = 64;

@@ -10,9 +10,9 @@ namespace tessera {
 namespace {
 
 std::uint32_t index_of(std::vector<BlobId>& table, const BlobId& id) {
-    const auto it = std::find(table.begin(), table.end(), id);
-    if (it == table.end()) table.push_back(id);
-    return std::uint32_t(it - table.begin());
+    const auto index = std::uint32_t(std::find(table.begin(), table.end(), id) - table.begin());
+    if (index == table.size()) table.push_back(id);
+    return index;
 }
 
 void require(bool good, const char* what, std::size_t index, const char* problem) {

@@ -31,12 +31,12 @@ struct TextureMap {
 struct Material {
     std::string name;
     vec3 base_color{0.8f};
-    TextureMap base_color_map;
+    TextureMap base_color_map{};
     float metallic = 0;
     float roughness = 1;
-    TextureMap metallic_roughness_map;  ///< blue: metallic, green: roughness
-    vec3 emission{0};                   ///< radiance
-    TextureMap emission_map;
+    TextureMap metallic_roughness_map{};  ///< blue: metallic, green: roughness
+    vec3 emission{0};                     ///< radiance
+    TextureMap emission_map{};
     bool two_sided_emission = false;  ///< else only the front (counter-clockwise) side emits
 
     bool operator==(const Material&) const = default;

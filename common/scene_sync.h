@@ -76,18 +76,21 @@ private:
         bool reported = false;
     };
     struct Arrival {
+        bool begun = false;
         std::uint64_t total = 0;
         Bytes bytes;
     };
 
-    std::uint64_t arriving_bytes() const;
     void make_room(std::uint64_t bytes);
+    void drop_unused_blobs();
     void complete(const BlobId& id, Bytes bytes);
 
     SceneLimits limits_;
     std::map<std::string, Entry> scenes_;
     BlobStore blobs_;
     std::map<BlobId, Arrival> arrivals_;  ///< blobs asked for and not yet whole
+    std::uint64_t announced_bytes_ = 0;   ///< of all arrivals, once whole
+    std::uint64_t held_bytes_ = 0;        ///< of blobs_
 };
 
 /// A blob cut into messages of chunk_bytes that share its memory; at least one.

@@ -1,0 +1,36 @@
+#include "common/generator.h"
+
+#include "common/generators.h"
+
+namespace tessera {
+namespace {
+
+struct Generator {
+    const char* name;
+    const char* description;
+    SceneBundle (*generate)();
+};
+
+constexpr Generator generators[] = {
+    {"cornell", "the Cornell box as measured: two blocks, one area light, 32 triangles",
+     generate_cornell},
+    {"office",
+     "a furnished office like the one of Wald's thesis: five area lights, 35,000 triangles",
+     generate_office},
+};
+
+}  // namespace
+
+std::vector<GeneratedScene> generated_scenes() {
+    std::vector<GeneratedScene> scenes;
+    for (const Generator& g : generators) scenes.push_back({g.name, g.description});
+    return scenes;
+}
+
+std::optional<SceneBundle> generate_scene(const std::string& name) {
+    for (const Generator& g : generators)
+        if (g.name == name) return g.generate();
+    return std::nullopt;
+}
+
+}  // namespace tessera
