@@ -103,11 +103,13 @@ asio::awaitable<void> send_scene(std::shared_ptr<Connection> to, SceneBundle bun
 }
 
 FrameSpec small_frame(const SceneBundle& bundle, std::uint64_t number) {
-    FrameSpec spec;
-    spec.frame = number;
-    spec.scene = "s";
-    spec.version = 1;
-    spec.size = {40, 24};
+    FrameSpec spec{.frame = number,
+                   .scene = std::string("s"),
+                   .version = 1,
+                   .size = {40, 24},
+                   .camera = {},
+                   .settings = {},
+                   .extra = {}};
     spec.camera = bundle.scene.cameras.at(0);
     spec.settings.integrator = Integrator::path;
     return spec;
