@@ -19,8 +19,13 @@ struct CornerValues {
     bool operator==(const CornerValues&) const = default;
 };
 
+bool is_textured(const Material& m) {
+    return m.base_color_map.texture >= 0 || m.metallic_roughness_map.texture >= 0 ||
+           m.emission_map.texture >= 0;
+}
+
 /// The corners of an object's triangles by material: what glTF keeps of a mesh, which is neither
-/// how vertices are shared nor the order of slots.
+/// how vertices are shared, nor the order of slots, nor texture coordinates that nobody can see.
 std::vector<std::vector<CornerValues>> by_material(const SceneBundle& bundle,
                                                    const Object& object) {
     const Mesh mesh = mesh_of(bundle, object.mesh);
