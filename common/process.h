@@ -1,0 +1,12 @@
+// The life of a process among its relatives.
+#pragma once
+
+namespace tessera {
+
+/// Kills this process (SIGKILL) when its parent ends, however that happens, and at once if it has
+/// ended already. `parent` is the parent's process id, or 0 for whoever is the parent now. To be
+/// called first thing in main. The kernel takes the death of the *thread* that started this process
+/// for the parent's: a program that starts such children does so from a thread that outlives them.
+void end_with_parent(int parent = 0);
+
+}  // namespace tessera

@@ -1,0 +1,43 @@
+// The pinhole camera.
+#pragma once
+
+#include "common/image.h"
+#include "common/scene.h"
+
+namespace tessera {
+
+class Pinhole {
+public:
+    /// A camera that looks nowhere (eye == at, or `up` along the view) looks along -z or takes
+    /// another up.
+    Pinhole(const Camera& camera, ImageSize size);
+
+    /// The ray through `raster`, in pixels from the top left; its direction is a unit vector.
+    Ray ray(const vec2& raster) const;
+
+private:
+    vec3 eye_;
+    vec3 corner_;  ///< from the eye to the picture's top left, at unit distance
+    vec3 right_;   ///< per pixel
+    vec3 down_;    ///< per pixel
+};
+
+inline Pinhole::Pinhole(const Camera& camera, ImageSize size) : eye_(camera.eye) {
+    const auto usable = [](const vec3& v) { return dot(v, v) > 1e-20f && is_finite(v); };
+    const vec3 view = camera.at - camera.eye;
+    const vec3 forward = usable(view) ? normalize(view) : vec3(0, 0, -1);
+    vec3 side = cross(forward, camera.up);
+    if (!usable(side)) side = Frame(forward).s;
+    side = normalize(side);
+    const float half_height = std::tan(glm::radians(std::clamp(camera.fov_y, 0.01f, 179.0f)) / 2);
+    const float pixel = 2 * half_height / float(size.height);
+    right_ = pixel * side;
+    down_ = pixel * cross(forward, side);
+    corner_ = forward - 0.5f * float(size.width) * right_ - 0.5f * float(size.height) * down_;
+}
+
+inline Ray Pinhole::ray(const vec2& raster) const {
+    return {eye_, 0, normalize(corner_ + raster.x * right_ + raster.y * down_), infinity};
+}
+
+}  // namespace tessera

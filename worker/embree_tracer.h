@@ -1,0 +1,14 @@
+// Embree behind the tracer's interface: the independent second opinion and the yardstick.
+#pragma once
+
+#include "worker/tracer.h"
+
+namespace tessera {
+
+/// Builds Embree scenes of high quality and robust traversal. Keeps the rules of Tracer except that
+/// among equally close hits Embree's own order decides, and that triangles of zero area may be hit
+/// through rounding.
+std::unique_ptr<Tracer> build_embree_tracer(std::span<const TracerObject> objects,
+                                            std::span<const TracerInstance> instances, int threads);
+
+}  // namespace tessera

@@ -1,0 +1,62 @@
+// Eye rays of a tile: one jittered ray per pixel, followed through mirrors to the first surface
+// that scatters. What both integrators start from and what they fill in.
+#pragma once
+
+#include <vector>
+
+#include "common/tile.h"
+#include "worker/camera.h"
+#include "worker/lights.h"
+#include "worker/surface.h"
+#include "worker/tracer.h"
+
+namespace tessera {
+
+/// Mirrors in a row; a ray that meets more is dropped.
+inline constexpr int max_mirrors = 25;
+
+/// All that is needed to trace light in a scene.
+struct World {
+    const Surfaces& surfaces;
+    const Lights& lights;
+    const Tracer& tracer;
+};
+
+/// One pixel in one pass. Its radiance is emitted + albedo / pi * (direct + indirect).
+struct PixelSample {
+    vec3 emitted{0};   ///< radiance seen directly or in mirrors
+    vec3 albedo{0};    ///< at the first diffuse hit, times the throughput of mirrors before it
+    vec3 direct{0};    ///< irradiance there, straight from lights
+    vec3 indirect{0};  ///< irradiance there, from surfaces
+    vec3 normal{0};    ///< shading normal there
+    float depth = infinity;     ///< path length from the eye to there
+    std::uint32_t surface = 0;  ///< hash of instance, object and number of mirrors, never 0
+};
+
+/// The first diffuse hit of a pixel's eye ray.
+struct Receiver {
+    std::uint32_t pixel = 0;  ///< index within the tile
+    SurfacePoint surface;
+};
+
+/// Which pixels, in which pass of which frame.
+struct TilePass {
+    ImageSize size;
+    Rect rect;
+    std::uint32_t pass = 0;
+    std::uint32_t seed = 0;
+
+    ivec2 raster(std::uint32_t pixel) const {
+        const auto width = std::uint32_t(rect.width());
+        return {rect.x0 + int(pixel % width), rect.y0 + int(pixel / width)};
+    }
+    /// The sequence of one pixel; its points are indexed by the pass.
+    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const;
+};
+
+/// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the
+/// receivers in the order of their pixels. Returns the number of rays traced.
+std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
+                             std::span<PixelSample> pixels, std::vector<Receiver>& receivers);
+
+}  // namespace tessera

@@ -1,0 +1,116 @@
+#include "worker/igi.h"
+
+#include "worker/light_paths.h"
+
+namespace tessera {
+namespace {
+
+/// Candidates among which one direct light sample is chosen.
+constexpr std::uint32_t direct_candidates = 4;
+
+/// Shadow rays under way, and what each adds to its pixel when it is free.
+struct ShadowBatch {
+    std::vector<Ray> rays;
+    std::vector<std::uint32_t> pixels;
+    std::vector<vec3> irradiance;
+    std::vector<std::uint8_t> blocked;
+
+    void add(const Ray& ray, std::uint32_t pixel, const vec3& e) {
+        rays.push_back(ray);
+        pixels.push_back(pixel);
+        irradiance.push_back(e);
+    }
+    void trace(const Tracer& tracer) {
+        blocked.resize(rays.size());
+        tracer.occluded(rays, blocked);
+    }
+};
+
+float fraction(float x) { return x - std::floor(x); }
+
+struct DirectSample {
+    LightSample light;
+    vec3 irradiance{0};
+};
+
+/// Candidate `i`: a shift of the pixel's own point, so that the candidates spread over the lights.
+DirectSample direct_candidate(const World& world, const SurfacePoint& s, std::uint32_t i,
+                              float u_light, const vec2& u) {
+    // Shifts by the plastic number's powers fill the square evenly (Roberts, "The Unreasonable
+    // Effectiveness of Quasirandom Sequences", 2018).
+    const vec2 place(fraction(u.x + float(i) * 0.75487766f),
+                     fraction(u.y + float(i) * 0.56984029f));
+    const float stratum = std::min((float(i) + u_light) / direct_candidates, 0x1.fffffep-1f);
+    const auto light = world.lights.sample(s.p, stratum, place);
+    if (!light) return {};
+    const float cosine = dot(s.n, light->wi);
+    if (!(cosine > 0 && dot(s.ng, light->wi) > 0)) return {};
+    return {*light, light->radiance * (cosine / light->pdf)};
+}
+
+void sample_direct(const World& world, const Receiver& receiver, Sampler sampler,
+                   ShadowBatch& batch) {
+    const vec2 u_choice = sampler.next();
+    const vec2 u_place = sampler.next();
+    DirectSample chosen;
+    float chosen_weight = 0;
+    float total = 0;
+    float u = u_choice.y;
+    for (std::uint32_t i = 0; i < direct_candidates; ++i) {
+        const DirectSample c = direct_candidate(world, receiver.surface, i, u_choice.x, u_place);
+        const float weight = mean_component(c.irradiance);
+        if (!(weight > 0) || !std::isfinite(weight)) continue;
+        // Reservoir of one, with the same random number stretched again after each decision.
+        total += weight;
+        const float p = weight / total;
+        if (u < p) {
+            u /= p;
+            chosen = c;
+            chosen_weight = weight;
+        } else {
+            u = (u - p) / (1 - p);
+        }
+    }
+    if (total <= 0) return;
+    batch.add(shadow_ray(receiver.surface, chosen.light), receiver.pixel,
+              chosen.irradiance * (total / (chosen_weight * direct_candidates)));
+}
+
+}  // namespace
+
+std::uint64_t gather_direct(const World& world, const TilePass& tile,
+                            std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
+    ShadowBatch batch;
+    for (const Receiver& r : receivers) sample_direct(world, r, tile.sampler(r.pixel, 1), batch);
+    batch.trace(world.tracer);
+    for (std::size_t i = 0; i < batch.rays.size(); ++i)
+        if (!batch.blocked[i]) pixels[batch.pixels[i]].direct += batch.irradiance[i];
+    return batch.rays.size();
+}
+
+std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,
+                              const VplSets& sets, std::span<const Receiver> receivers,
+                              std::span<PixelSample> pixels) {
+    // Sort the receivers by set: rays from one VPL then follow each other.
+    const std::uint32_t set_count = config.interleave * config.interleave;
+    std::vector<std::vector<const Receiver*>> of_set(set_count);
+    for (const Receiver& r : receivers)
+        of_set[set_index(tile.raster(r.pixel), sets.offset, config.interleave)].push_back(&r);
+
+    ShadowBatch batch;
+    for (std::uint32_t set = 0; set < set_count; ++set) {
+        for (const Vpl& vpl : sets.set(set)) {
+            for (const Receiver* r : of_set[set]) {
+                const vec3 e = irradiance(r->surface, vpl, config.max_geometry);
+                if (max_component(e) > 0)
+                    batch.add({vpl.org, 0, r->surface.org - vpl.org, 1}, r->pixel, e);
+            }
+        }
+    }
+    batch.trace(world.tracer);
+    for (std::size_t i = 0; i < batch.rays.size(); ++i)
+        if (!batch.blocked[i]) pixels[batch.pixels[i]].indirect += batch.irradiance[i];
+    return batch.rays.size();
+}
+
+}  // namespace tessera

@@ -1,0 +1,33 @@
+// Instant Global Illumination: Wald, Kollig, Benthin, Keller and Slusallek, "Interactive Global
+// Illumination using Fast Ray Tracing" (2002). Each pixel gathers from one of n x n interleaved
+// sets of virtual point lights (Keller and Heidrich, "Interleaved Sampling", 2001); the
+// discontinuity filter then averages over neighbours, which used the other sets.
+//
+// We differ in taking light straight from lamps apart from the VPLs: one point on one light per
+// pixel and pass, chosen among candidates by what they would contribute (Talbot, Cline and Egbert,
+// "Importance Resampling for Global Illumination", 2005).
+#pragma once
+
+#include "worker/eye.h"
+#include "worker/vpl.h"
+
+namespace tessera {
+
+struct IgiConfig {
+    std::uint32_t interleave = 3;
+    /// Bound of cos * cos / d^2 between a VPL and a receiver, m^-2: without it VPLs near a surface
+    /// make bright spots (Kollig and Keller, "Illumination in the Presence of Weak Singularities",
+    /// 2004).
+    float max_geometry = infinity;
+};
+
+/// Adds direct irradiance to `pixels`. Returns the number of rays traced.
+std::uint64_t gather_direct(const World& world, const TilePass& tile,
+                            std::span<const Receiver> receivers, std::span<PixelSample> pixels);
+
+/// Adds indirect irradiance, each pixel from its own set. Returns the number of rays traced.
+std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,
+                              const VplSets& sets, std::span<const Receiver> receivers,
+                              std::span<PixelSample> pixels);
+
+}  // namespace tessera

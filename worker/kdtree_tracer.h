@@ -1,0 +1,13 @@
+// Our tracer: kd-trees in two levels (Wald 2004, chapter 9). Each object has a tree over its
+// triangles, shared by its instances; a tree over the boxes of the instances stands above, unless
+// the scene is a single untransformed instance.
+#pragma once
+
+#include "worker/tracer.h"
+
+namespace tessera {
+
+std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> objects,
+                                            std::span<const TracerInstance> instances, int threads);
+
+}  // namespace tessera

@@ -1,0 +1,212 @@
+#include "worker/light_paths.h"
+
+namespace tessera {
+namespace {
+
+/// Shading normals make the light that a particle carries differ from what it carries along the
+/// geometry (Veach 1997, 5.3); the correction is bounded because it grows without limit where light
+/// grazes the triangle.
+float shading_correction(const SurfacePoint& s) {
+    constexpr float most = 4;
+    return std::min(dot(s.n, s.wo) / dot(s.ng, s.wo), most);
+}
+
+struct Candidates {
+    std::vector<Vpl> vpls;
+    std::vector<float> importance;
+};
+
+/// Position on a Morton curve through the cube `bounds`.
+std::uint32_t morton(const vec3& p, const Box& bounds) {
+    const vec3 extent = glm::max(bounds.extent(), vec3(1e-20f));
+    const vec3 unit = glm::clamp((p - bounds.lo) / extent, 0.0f, 1.0f);
+    std::uint32_t code = 0;
+    for (int axis = 0; axis < 3; ++axis) {
+        const auto cell = std::uint32_t(unit[axis] * 1023);
+        for (int bit = 0; bit < 10; ++bit) code |= (cell >> bit & 1) << (3 * bit + axis);
+    }
+    return code;
+}
+
+void sort_along_curve(std::vector<Vpl>& vpls, const Box& bounds) {
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> order;
+    for (std::uint32_t i = 0; i < vpls.size(); ++i)
+        order.emplace_back(morton(vpls[i].org, bounds), i);
+    std::sort(order.begin(), order.end());
+    std::vector<Vpl> sorted;
+    for (const auto& [code, i] : order) sorted.push_back(vpls[i]);
+    vpls = std::move(sorted);
+}
+
+/// Unoccluded contribution of each VPL to what the eye sees, by tracing it to all pilots.
+std::vector<float> contributions(const World& world, std::span<const Vpl> vpls,
+                                 std::span<const Receiver> pilots, float max_geometry) {
+    std::vector<float> sums(vpls.size());
+    std::vector<Ray> rays;
+    std::vector<float> weights;
+    std::vector<std::uint8_t> blocked;
+    for (std::size_t v = 0; v < vpls.size(); ++v) {
+        rays.clear();
+        weights.clear();
+        for (const Receiver& r : pilots) {
+            const vec3 e = irradiance(r.surface, vpls[v], max_geometry);
+            const float weight = mean_component(e * r.surface.bsdf.reflectance);
+            if (!(weight > 0)) continue;
+            rays.push_back({vpls[v].org, 0, r.surface.org - vpls[v].org, 1});
+            weights.push_back(weight);
+        }
+        blocked.resize(rays.size());
+        world.tracer.occluded(rays, blocked);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            if (!blocked[i]) sums[v] += weights[i];
+    }
+    return sums;
+}
+
+float sum(std::span<const float> values) {
+    float total = 0;
+    for (const float v : values) total += v;
+    return total;
+}
+
+/// Chances of being taken: by contribution, and for a share by power, so that no light is lost that
+/// the pilots happen to miss.
+Distribution choice_among(std::span<const Vpl> vpls, std::span<const float> contribution) {
+    constexpr float defensive = 0.1f;
+    std::vector<float> power;
+    for (const Vpl& vpl : vpls) power.push_back(mean_component(vpl.intensity));
+    const float all_power = std::max(sum(power), 1e-30f);
+    const float all_contribution = sum(contribution);
+    std::vector<float> chance;
+    for (std::size_t i = 0; i < vpls.size(); ++i)
+        chance.push_back(
+            defensive * power[i] / all_power +
+            (all_contribution > 0 ? (1 - defensive) * contribution[i] / all_contribution : 0));
+    return Distribution(chance);
+}
+
+}  // namespace
+
+std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::uint32_t count,
+                                  std::uint32_t bounces, std::uint32_t seed,
+                                  std::uint64_t& rays_traced) {
+    struct Walk {
+        Sampler sampler;
+        vec3 flux{0};
+        std::uint32_t bounces = 0;
+        std::uint32_t mirrors = 0;
+    };
+    std::vector<Vpl> vpls;
+    if (world.lights.empty()) return vpls;
+
+    // Start all paths at lights.
+    std::vector<Walk> walks;
+    std::vector<Ray> rays;
+    for (std::uint32_t i = 0; i < count; ++i) {
+        Walk walk{Sampler(first + i, seed)};
+        const float u_light = walk.sampler.next().x;
+        const vec2 u_place = walk.sampler.next();
+        const EmissionSample e =
+            world.lights.sample_emission(u_light, u_place, walk.sampler.next());
+        walk.flux = e.flux;
+        walks.push_back(walk);
+        rays.push_back(e.ray);
+    }
+
+    // Let them all take one step at a time, and leave a VPL at every diffuse surface.
+    std::vector<Hit> hits;
+    while (!walks.empty()) {
+        hits.resize(rays.size());
+        world.tracer.closest_hits(rays, hits);
+        rays_traced += rays.size();
+        std::size_t kept = 0;
+        for (std::size_t i = 0; i < walks.size(); ++i) {
+            if (!hits[i].valid()) continue;
+            Walk walk = walks[i];
+            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
+            const vec3 flux = walk.flux * s.bsdf.reflectance;
+            const vec2 u_dir = walk.sampler.next();
+            const float u_survival = walk.sampler.next().x;
+            vec3 dir;
+            if (s.bsdf.specular()) {
+                const auto reflected = sample(s.bsdf, s.n, s.wo, u_dir);
+                if (!reflected || dot(reflected->wi, s.ng) <= 0) continue;
+                if (++walk.mirrors > max_mirrors) continue;
+                dir = reflected->wi;
+                walk.flux = flux;
+            } else {
+                if (walk.bounces++ >= bounces) continue;
+                const vec3 leaving = flux * shading_correction(s);
+                if (!(max_component(leaving) > 0) || !is_finite(leaving)) continue;
+                vpls.push_back({s.org, s.ng, leaving / pi});
+                const float survival =
+                    std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
+                if (!(u_survival < survival)) continue;
+                dir = Frame(s.ng).world_from_local(sample_cosine_hemisphere(u_dir));
+                walk.flux = leaving / survival;
+                walk.mirrors = 0;
+            }
+            walks[kept] = walk;
+            rays[kept++] = {s.org, 0, dir, infinity};
+        }
+        walks.erase(walks.begin() + std::ptrdiff_t(kept), walks.end());
+        rays.resize(kept);
+    }
+    return vpls;
+}
+
+vec3 irradiance(const SurfacePoint& s, const Vpl& vpl, float max_geometry) {
+    const vec3 to = vpl.org - s.org;
+    const float cos_vpl = -dot(vpl.ng, to);
+    const float cos_surface = dot(s.n, to);
+    if (!(cos_vpl > 0 && cos_surface > 0 && dot(s.ng, to) > 0)) return vec3(0);
+    const float d2 = dot(to, to);
+    return vpl.intensity * std::min(cos_vpl * cos_surface / (d2 * d2), max_geometry);
+}
+
+std::uint32_t count_light_paths(const World& world, const VplConfig& config) {
+    constexpr std::uint32_t tried = 256;
+    std::uint64_t rays = 0;
+    const std::size_t made =
+        walk_light_paths(world, 0, tried, config.bounces, hash(config.seed, 0xc0), rays).size();
+    const std::uint64_t wanted =
+        std::uint64_t(candidates_per_vpl) * config.interleave * config.interleave * config.vpls;
+    return std::uint32_t(std::clamp<std::uint64_t>(wanted * tried / std::max<std::size_t>(made, 1),
+                                                   1, 64 * wanted + 1));
+}
+
+VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t pass,
+                      std::span<const Receiver> pilots) {
+    const std::uint32_t n = config.interleave;
+    const std::uint32_t set_count = n * n;
+    const std::uint32_t random = hash(hash(config.seed, 0xd1), pass);
+    VplSets sets;
+    sets.offset = ivec2(random % n, random / n % n);
+    sets.first.assign(set_count + 1, 0);
+
+    // Walk more paths than needed; passes continue one sequence.
+    std::vector<Vpl> all = walk_light_paths(world, pass * config.paths, config.paths,
+                                            config.bounces, hash(config.seed, 0xd2), sets.rays);
+    sort_along_curve(all, world.tracer.bounds());
+    const auto contribution = contributions(world, all, pilots, config.max_geometry);
+    sets.rays += all.size() * pilots.size();
+    const Distribution choice = choice_among(all, contribution);
+    if (choice.empty()) return sets;
+
+    // Take VPLs at equal steps along the curve and deal them out to the sets in turn.
+    const std::uint32_t total = set_count * config.vpls;
+    const float u = unit_float(hash(random));
+    std::vector<Vpl> taken;
+    for (std::uint32_t i = 0; i < total; ++i) {
+        const auto chosen = choice.sample((float(i) + u) / float(total));
+        taken.push_back(all[chosen.index]);
+        taken.back().intensity /= chosen.probability * float(config.paths) * float(config.vpls);
+    }
+    for (std::uint32_t set = 0; set < set_count; ++set) {
+        for (std::uint32_t i = set; i < total; i += set_count) sets.vpls.push_back(taken[i]);
+        sets.first[set + 1] = std::uint32_t(sets.vpls.size());
+    }
+    return sets;
+}
+
+}  // namespace tessera

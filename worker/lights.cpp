@@ -1,0 +1,197 @@
+#include "worker/lights.h"
+
+namespace tessera {
+namespace {
+
+vec3 unit_direction(const Light& light) {
+    return dot(light.direction, light.direction) > 0 ? normalize(light.direction) : vec3(0, 0, -1);
+}
+
+/// Mean radiance of a triangle from a fixed grid of places, never zero where the texture emits
+/// anywhere, so that what the grid misses is still found.
+vec3 mean_emission(const Surfaces& surfaces, std::uint32_t instance, std::uint32_t triangle) {
+    const Material& m = surfaces.material(instance, triangle);
+    const vec3 overall = surfaces.mean_emission(m);
+    if (m.emission_map.texture < 0) return overall;
+    constexpr int n = 4;
+    vec3 sum(0);
+    for (int i = 0; i < n * n; ++i) {
+        const vec2 u((float(i % n) + 0.5f) / n, (float(i / n) + 0.5f) / n);
+        sum += surfaces.emission(instance, triangle, sample_triangle(u));
+    }
+    return 0.9f * sum / float(n * n) + 0.1f * overall;
+}
+
+}  // namespace
+
+Ray shadow_ray(const SurfacePoint& s, const LightSample& light) {
+    if (light.distance == infinity) return {s.org, 0, light.wi, infinity};
+    return {s.org, 0, light.end - s.org, 1};
+}
+
+float spot_falloff(const Light& light, float cosine) {
+    const float cos_outer = std::cos(light.outer_angle);
+    const float scale = 1 / std::max(0.001f, std::cos(light.inner_angle) - cos_outer);
+    const float falloff = std::clamp((cosine - cos_outer) * scale, 0.0f, 1.0f);
+    return falloff * falloff;
+}
+
+Lights::Lights(const Surfaces& surfaces, const Box& bounds)
+    : surfaces_(&surfaces), punctual_(surfaces.scene().lights) {
+    if (!bounds.empty()) {
+        centre_ = bounds.centre();
+        radius_ = std::max(0.5f * length(bounds.extent()), 1e-20f);
+    }
+    for (Light& light : punctual_) light.direction = unit_direction(light);
+    std::vector<float> powers;
+    for (std::uint32_t i = 0; i < surfaces.instance_count(); ++i) add_triangles(i, powers);
+    first_of_instance_.push_back(std::uint32_t(triangles_.size()));
+    for (const Light& light : punctual_) powers.push_back(power(light));
+    choice_ = Distribution(powers);
+}
+
+void Lights::add_triangles(std::uint32_t instance, std::vector<float>& powers) {
+    first_of_instance_.push_back(std::uint32_t(triangles_.size()));
+    const auto emits = [&](std::uint32_t t) {
+        return surfaces_->material(instance, t).emission != vec3(0);
+    };
+    for (std::uint32_t t = 0; t < surfaces_->triangle_count(instance); ++t) {
+        if (!emits(t)) continue;
+        const TriangleLight light{instance, t, surfaces_->material(instance, t).two_sided_emission,
+                                  surfaces_->triangle(instance, t),
+                                  surfaces_->triangle(instance, t).area()};
+        if (!(light.area > 0) || !std::isfinite(light.area)) continue;
+        triangles_.push_back(light);
+        powers.push_back(power(light));
+    }
+}
+
+float Lights::power(const TriangleLight& light) const {
+    const vec3 radiance = mean_emission(*surfaces_, light.instance, light.triangle);
+    return pi * light.area * mean_component(radiance) * (light.two_sided ? 2 : 1);
+}
+
+float Lights::power(const Light& light) const {
+    const float intensity = mean_component(light.intensity);
+    switch (light.kind) {
+        case LightKind::point:
+            return 4 * pi * intensity;
+        case LightKind::spot:
+            return 2 * pi * intensity *
+                   (1 - 0.5f * (std::cos(light.inner_angle) + std::cos(light.outer_angle)));
+        case LightKind::directional:
+            return pi * radius_ * radius_ * intensity;
+    }
+    return 0;
+}
+
+std::optional<LightSample> Lights::sample(const vec3& p, float u_light, const vec2& u) const {
+    if (empty()) return {};
+    const auto chosen = choice_.sample(u_light);
+    if (chosen.index < triangles_.size())
+        return sample_triangle_light(triangles_[chosen.index], p, chosen.probability, u);
+    return sample_punctual(punctual_[chosen.index - triangles_.size()], p, chosen.probability);
+}
+
+std::optional<LightSample> Lights::sample_triangle_light(const TriangleLight& light, const vec3& p,
+                                                         float probability, const vec2& u) const {
+    const WorldTriangle& t = light.shape;
+    const vec2 b = sample_triangle(u);
+    const vec3 point = t.point(b);
+    const vec3 to = point - p;
+    const float distance_squared = dot(to, to);
+    LightSample s;
+    s.distance = std::sqrt(distance_squared);
+    s.wi = to / s.distance;
+    s.cosine = -dot(t.ng, s.wi);
+    if (light.two_sided) s.cosine = std::abs(s.cosine);
+    if (!(distance_squared > 0 && s.cosine > 0)) return {};
+    s.end = t.beside(point, -s.wi);
+    s.radiance = surfaces_->emission(light.instance, light.triangle, b);
+    s.pdf = probability * distance_squared / (light.area * s.cosine);
+    return s;
+}
+
+std::optional<LightSample> Lights::sample_punctual(const Light& light, const vec3& p,
+                                                   float probability) const {
+    LightSample s;
+    s.punctual = true;
+    s.pdf = probability;
+    if (light.kind == LightKind::directional) {
+        s.wi = -light.direction;
+        s.radiance = light.intensity;
+        return s;
+    }
+    s.end = light.position;
+    const vec3 to = light.position - p;
+    const float distance_squared = dot(to, to);
+    if (!(distance_squared > 0)) return {};
+    s.distance = std::sqrt(distance_squared);
+    s.wi = to / s.distance;
+    const bool spot = light.kind == LightKind::spot;
+    const float falloff = spot ? spot_falloff(light, -dot(s.wi, light.direction)) : 1;
+    s.radiance = light.intensity * falloff / distance_squared;
+    return s;
+}
+
+float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const {
+    const auto begin = triangles_.begin() + first_of_instance_[hit.instance];
+    const auto end = triangles_.begin() + first_of_instance_[hit.instance + 1];
+    const auto light = std::lower_bound(
+        begin, end, hit.triangle,
+        [](const TriangleLight& l, std::uint32_t triangle) { return l.triangle < triangle; });
+    if (light == end || light->triangle != hit.triangle) return 0;
+    const vec3 to = s.p - from;
+    const float cosine = std::abs(dot(s.ng, s.wo));
+    return choice_.probability(std::uint32_t(light - triangles_.begin())) * dot(to, to) /
+           (light->area * cosine);
+}
+
+EmissionSample Lights::sample_emission(float u_light, const vec2& u_place,
+                                       const vec2& u_dir) const {
+    const auto chosen = choice_.sample(u_light);
+    EmissionSample s =
+        chosen.index < triangles_.size()
+            ? emit_from_triangle(triangles_[chosen.index], chosen.u, u_place, u_dir)
+            : emit_from_punctual(punctual_[chosen.index - triangles_.size()], u_place, u_dir);
+    s.flux /= chosen.probability;
+    return s;
+}
+
+EmissionSample Lights::emit_from_triangle(const TriangleLight& light, float u_side,
+                                          const vec2& u_place, const vec2& u_dir) const {
+    const WorldTriangle& t = light.shape;
+    const vec2 b = sample_triangle(u_place);
+    EmissionSample s;
+    const vec3 n = light.two_sided && u_side >= 0.5f ? -t.ng : t.ng;
+    s.ray.org = t.beside(t.point(b), n);
+    s.ray.dir = Frame(n).world_from_local(sample_cosine_hemisphere(u_dir));
+    const vec3 radiance = surfaces_->emission(light.instance, light.triangle, b);
+    s.flux = radiance * pi * light.area * (light.two_sided ? 2.0f : 1.0f);
+    return s;
+}
+
+EmissionSample Lights::emit_from_punctual(const Light& light, const vec2& u_place,
+                                          const vec2& u_dir) const {
+    EmissionSample s;
+    s.ray.org = light.position;
+    if (light.kind == LightKind::point) {
+        s.ray.dir = sample_sphere(u_dir);
+        s.flux = light.intensity / sphere_pdf;
+    } else if (light.kind == LightKind::spot) {
+        const float cos_outer = std::cos(light.outer_angle);
+        const vec3 local = sample_cone(u_dir, cos_outer);
+        s.ray.dir = Frame(light.direction).world_from_local(local);
+        s.flux = light.intensity * spot_falloff(light, local.z) / cone_pdf(cos_outer);
+    } else {
+        // Directional light leaves a disc that covers the scene's bounding sphere.
+        const vec2 d = radius_ * sample_disc(u_place);
+        const Frame frame(light.direction);
+        s.ray.dir = light.direction;
+        s.ray.org = centre_ + d.x * frame.s + d.y * frame.t - 2 * radius_ * light.direction;
+        s.flux = light.intensity * pi * radius_ * radius_;
+    }
+    return s;
+}
+
+}  // namespace tessera

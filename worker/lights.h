@@ -1,0 +1,84 @@
+// All that emits: triangles of emissive materials in every instance, and punctual lights (point,
+// spot, directional; falloff after glTF's KHR_lights_punctual). Chosen by power; sampled towards a
+// receiver, or outward as the start of a light path.
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "worker/sampling.h"
+#include "worker/surface.h"
+
+namespace tessera {
+
+/// Light that reaches a receiver from one sampled direction, occlusion aside.
+struct LightSample {
+    vec3 wi{0};                 ///< unit, from the receiver
+    float distance = infinity;  ///< along wi
+    vec3 end{0};                ///< beside the point that emits; unused when distance is infinite
+    float cosine = 1;           ///< at the light; 1 for punctual lights
+    vec3 radiance{0};           ///< punctual lights: irradiance across wi
+    float pdf = 0;              ///< per solid angle; punctual lights: probability of the light
+    bool punctual = false;
+};
+
+/// Start of a light path.
+struct EmissionSample {
+    Ray ray;
+    vec3 flux{0};  ///< emitted power over the pdf of this sample, W
+};
+
+class Lights {
+public:
+    /// `bounds`: of everything that directional light shall reach.
+    Lights(const Surfaces& surfaces, const Box& bounds);
+
+    /// Whether the scene is black.
+    bool empty() const { return choice_.empty(); }
+    std::size_t triangle_count() const { return triangles_.size(); }
+
+    /// Chooses a light with u_light and a point on it with u. Nothing when it does not face `p`.
+    std::optional<LightSample> sample(const vec3& p, float u_light, const vec2& u) const;
+    /// Density, per solid angle from `from`, with which sample() finds the point that `hit` found.
+    float pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const;
+
+    /// The start of a light path. Call only when not empty.
+    EmissionSample sample_emission(float u_light, const vec2& u_place, const vec2& u_dir) const;
+
+private:
+    struct TriangleLight {
+        std::uint32_t instance = 0;
+        std::uint32_t triangle = 0;
+        bool two_sided = false;
+        WorldTriangle shape;
+        float area = 0;
+    };
+
+    void add_triangles(std::uint32_t instance, std::vector<float>& power);
+    std::optional<LightSample> sample_triangle_light(const TriangleLight& light, const vec3& p,
+                                                     float probability, const vec2& u) const;
+    std::optional<LightSample> sample_punctual(const Light& light, const vec3& p,
+                                               float probability) const;
+    EmissionSample emit_from_triangle(const TriangleLight& light, float u_side, const vec2& u_place,
+                                      const vec2& u_dir) const;
+    EmissionSample emit_from_punctual(const Light& light, const vec2& u_place,
+                                      const vec2& u_dir) const;
+    float power(const TriangleLight& light) const;
+    float power(const Light& light) const;
+
+    const Surfaces* surfaces_;
+    vec3 centre_{0};
+    float radius_ = 1;
+    std::vector<TriangleLight> triangles_;  ///< sorted by instance, then triangle
+    std::vector<std::uint32_t> first_of_instance_;
+    std::vector<Light> punctual_;
+    Distribution choice_;  ///< over triangles_, then punctual_
+};
+
+/// The shadow ray from `s` to a light sampled from there.
+Ray shadow_ray(const SurfacePoint& s, const LightSample& light);
+
+/// Share of a spot light's intensity at the angle of cosine `cosine` from its axis.
+float spot_falloff(const Light& light, float cosine);
+
+}  // namespace tessera

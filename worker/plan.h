@@ -1,0 +1,11 @@
+// What a scene needs, decided once when it is loaded.
+#pragma once
+
+#include "worker/lights.h"
+#include "worker/renderer.h"
+
+namespace tessera {
+
+ScenePlan make_plan(const Scene& scene, const Lights& lights);
+
+}  // namespace tessera

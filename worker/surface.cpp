@@ -1,0 +1,182 @@
+#include "worker/surface.h"
+
+#include <fmt/format.h>
+
+#include <stdexcept>
+
+#include "worker/ray_offset.h"
+#include "worker/texture.h"
+
+namespace tessera {
+namespace {
+
+template <class Decode>
+auto decode_blob(const BlobStore& blobs, const BlobId& id, const char* kind, Decode decode) {
+    const auto bytes = blobs.find(id);
+    if (!bytes)
+        throw std::runtime_error(fmt::format("{} {}: blob is missing", kind, short_name(id)));
+    try {
+        return decode(std::span<const std::byte>(*bytes));
+    } catch (const std::runtime_error& e) {
+        throw std::runtime_error(fmt::format("{} {}: {}", kind, short_name(id), e.what()));
+    }
+}
+
+Box bounds_of(const Mesh& mesh) {
+    Box box;
+    for (const vec3& p : mesh.positions)
+        if (is_finite(p)) box.add(p);
+    return box;
+}
+
+template <class T>
+T interpolate(const std::vector<T>& values, const uvec3& corners, const vec2& b) {
+    return (1 - b.x - b.y) * values[corners.x] + b.x * values[corners.y] + b.y * values[corners.z];
+}
+
+/// `v` as a unit vector, or `fallback` where it has no direction.
+vec3 unit_or(const vec3& v, const vec3& fallback) {
+    const float length_squared = dot(v, v);
+    return length_squared > 0 && std::isfinite(length_squared) ? v / std::sqrt(length_squared)
+                                                               : fallback;
+}
+
+/// A unit normal in world space; scaled first, because edges may be tiny or huge.
+vec3 world_normal(const mat3& normal_from_object, const vec3& n) {
+    const float scale = std::max({std::abs(n.x), std::abs(n.y), std::abs(n.z)});
+    const vec3 v = normal_from_object * (n / scale);
+    const float largest = std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)});
+    return unit_or(v / largest, vec3(0, 0, 1));
+}
+
+}  // namespace
+
+Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs) : scene_(scene) {
+    validate(scene);
+    for (const BlobId& id : scene.meshes)
+        meshes_.push_back(decode_blob(blobs, id, "mesh", decode_mesh));
+    for (const BlobId& id : scene.textures) {
+        textures_.push_back(decode_blob(blobs, id, "texture", decode_texture));
+        texture_means_.push_back(mean_color(textures_.back()));
+    }
+    for (const Object& object : scene.objects)
+        for (const std::uint16_t slot : meshes_[object.mesh].slots)
+            if (slot >= std::max<std::size_t>(object.materials.size(), 1))
+                throw std::runtime_error(
+                    fmt::format("object {}: no material for slot {}", object.name, slot));
+    std::vector<Box> boxes;
+    for (const Mesh& mesh : meshes_) boxes.push_back(bounds_of(mesh));
+    for (const Instance& instance : scene.instances) {
+        normal_from_object_.push_back(transpose(inverse(mat3(instance.world_from_object))));
+        bounds_.add(
+            transformed(boxes[scene.objects[instance.object].mesh], instance.world_from_object));
+    }
+}
+
+std::vector<TracerObject> Surfaces::tracer_objects() const {
+    std::vector<TracerObject> out;
+    for (const Object& object : scene_.objects)
+        out.push_back({meshes_[object.mesh].positions, meshes_[object.mesh].triangles});
+    return out;
+}
+
+std::vector<TracerInstance> Surfaces::tracer_instances() const {
+    std::vector<TracerInstance> out;
+    for (const Instance& instance : scene_.instances)
+        out.push_back({instance.object, instance.world_from_object});
+    return out;
+}
+
+const Mesh& Surfaces::mesh_of(std::uint32_t instance) const {
+    return meshes_[scene_.objects[object_of(instance)].mesh];
+}
+
+std::uint32_t Surfaces::triangle_count(std::uint32_t instance) const {
+    return std::uint32_t(mesh_of(instance).triangles.size());
+}
+
+const Material& Surfaces::material(std::uint32_t instance, std::uint32_t triangle) const {
+    static const Material plain;
+    const Object& object = scene_.objects[object_of(instance)];
+    if (object.materials.empty()) return plain;
+    const Mesh& mesh = meshes_[object.mesh];
+    return scene_.materials[object.materials[mesh.slots.empty() ? 0 : mesh.slots[triangle]]];
+}
+
+WorldTriangle Surfaces::triangle(std::uint32_t instance, std::uint32_t index) const {
+    const Mesh& mesh = mesh_of(instance);
+    const uvec3 corners = mesh.triangles[index];
+    const auto world = [&](std::uint32_t i) {
+        return vec3(scene_.instances[instance].world_from_object * vec4(mesh.positions[i], 1));
+    };
+    const vec3 p0 = mesh.positions[corners.x];
+    const vec3 n = cross(mesh.positions[corners.y] - p0, mesh.positions[corners.z] - p0);
+    WorldTriangle t{world(corners.x), world(corners.y), world(corners.z),
+                    world_normal(normal_from_object_[instance], n)};
+    return t;
+}
+
+float WorldTriangle::area() const { return 0.5f * length(cross(p1 - p0, p2 - p0)); }
+
+vec3 WorldTriangle::beside(const vec3& p, const vec3& towards) const {
+    return offset_point(p, ng, towards, std::max({magnitude(p0), magnitude(p1), magnitude(p2)}));
+}
+
+vec2 Surfaces::texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const {
+    return mesh.texcoords.empty() ? vec2(0) : interpolate(mesh.texcoords, corners, b);
+}
+
+vec4 Surfaces::color(const TextureMap& map, const vec2& uv) const {
+    return map.texture < 0 ? vec4(1) : lookup(textures_[map.texture], apply(map, uv));
+}
+
+vec3 Surfaces::emission(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const {
+    const Material& m = material(instance, triangle);
+    const Mesh& mesh = mesh_of(instance);
+    const vec2 uv = texcoord(mesh, mesh.triangles[triangle], b);
+    return m.emission * vec3(color(m.emission_map, uv));
+}
+
+vec3 Surfaces::mean_emission(const Material& m) const {
+    return m.emission_map.texture < 0 ? m.emission
+                                      : m.emission * texture_means_[m.emission_map.texture];
+}
+
+SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
+    const Mesh& mesh = mesh_of(hit.instance);
+    const uvec3 corners = mesh.triangles[hit.triangle];
+    const Material& m = material(hit.instance, hit.triangle);
+    const mat3& normal_from_object = normal_from_object_[hit.instance];
+    const vec2 b(hit.u, hit.v);
+
+    // Barycentric weights keep the point on the triangle; org + t * dir would lose digits with
+    // distance.
+    const WorldTriangle t = triangle(hit.instance, hit.triangle);
+    SurfacePoint s;
+    s.p = t.point(b);
+    s.wo = -normalize(ray.dir);
+    const bool front = dot(t.ng, s.wo) > 0;
+    s.ng = front ? t.ng : -t.ng;
+    s.org = t.beside(s.p, s.ng);
+
+    // Shade with the interpolated normal where it faces the viewer as the triangle does.
+    s.n = s.ng;
+    if (!mesh.normals.empty()) {
+        const vec3 n = unit_or(normal_from_object * interpolate(mesh.normals, corners, b), s.ng);
+        s.n = dot(n, s.ng) < 0 ? -n : n;
+        if (!(dot(s.n, s.wo) > 0)) s.n = s.ng;
+    }
+
+    const vec2 uv = texcoord(mesh, corners, b);
+    vec2 metal_rough(m.metallic, m.roughness);
+    if (m.metallic_roughness_map.texture >= 0) {
+        const vec4 texel = color(m.metallic_roughness_map, uv);
+        metal_rough *= vec2(texel.b, texel.g);
+    }
+    s.bsdf =
+        make_bsdf(m.base_color * vec3(color(m.base_color_map, uv)), metal_rough.x, metal_rough.y);
+    if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
+    return s;
+}
+
+}  // namespace tessera

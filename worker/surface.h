@@ -1,0 +1,79 @@
+// The scene decoded for rendering: meshes, textures and transforms in memory, and what a hit means.
+#pragma once
+
+#include <vector>
+
+#include "common/scene.h"
+#include "worker/bsdf.h"
+#include "worker/tracer.h"
+
+namespace tessera {
+
+/// A point of a surface as seen from one side: both normals face the viewer. World space.
+struct SurfacePoint {
+    vec3 p{0};
+    vec3 org{0};       ///< p moved off the surface to the viewer's side: where rays leave
+    vec3 ng{0};        ///< geometric normal, unit
+    vec3 n{0};         ///< shading normal, unit
+    vec3 wo{0};        ///< towards the viewer, unit
+    vec3 emission{0};  ///< radiance towards the viewer
+    Bsdf bsdf;
+};
+
+/// A triangle in world space; `ng` is the unit normal of its front (counter-clockwise in its mesh,
+/// also where an instance mirrors it).
+struct WorldTriangle {
+    vec3 p0{0}, p1{0}, p2{0};
+    vec3 ng{0};
+
+    float area() const;
+    /// The point at barycentric weights `b` (second and third vertex).
+    vec3 point(const vec2& b) const { return (1 - b.x - b.y) * p0 + b.x * p1 + b.y * p2; }
+    /// `p`, on the triangle, moved off it to the side of `towards`.
+    vec3 beside(const vec3& p, const vec3& towards) const;
+};
+
+/// Meshes, textures and materials of a scene, decoded. Immutable: any number of threads may ask.
+class Surfaces {
+public:
+    /// Throws std::runtime_error naming a blob that is missing or broken, or an index out of range.
+    Surfaces(const Scene& scene, const BlobStore& blobs);
+
+    /// What build_tracer() wants; the spans borrow from this.
+    std::vector<TracerObject> tracer_objects() const;
+    std::vector<TracerInstance> tracer_instances() const;
+
+    /// World-space bounds, at most a little too large.
+    const Box& bounds() const { return bounds_; }
+
+    /// The point that a valid `hit` of `ray` found.
+    SurfacePoint at(const Ray& ray, const Hit& hit) const;
+
+    std::uint32_t instance_count() const { return std::uint32_t(scene_.instances.size()); }
+    std::uint32_t object_of(std::uint32_t instance) const {
+        return scene_.instances[instance].object;
+    }
+    std::uint32_t triangle_count(std::uint32_t instance) const;
+    const Material& material(std::uint32_t instance, std::uint32_t triangle) const;
+    WorldTriangle triangle(std::uint32_t instance, std::uint32_t triangle) const;
+    /// Radiance of the emitting side at barycentric weights `b` (second and third vertex).
+    vec3 emission(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const;
+    /// Mean radiance over the whole emission texture; an upper bound's stand-in for choosing.
+    vec3 mean_emission(const Material& material) const;
+
+    const Scene& scene() const { return scene_; }
+
+private:
+    const Mesh& mesh_of(std::uint32_t instance) const;
+    vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
+    vec4 color(const TextureMap& map, const vec2& uv) const;
+
+    Scene scene_;
+    std::vector<Mesh> meshes_;
+    std::vector<Texture> textures_;
+    std::vector<vec3> texture_means_;
+    std::vector<mat3> normal_from_object_;  ///< per instance: inverse transpose
+    Box bounds_;
+};
+
+}  // namespace tessera
