@@ -152,16 +152,19 @@ FrameAssembler::FrameAssembler(const FrameSpec& spec)
 
 std::uint32_t FrameAssembler::run_limit() const { return std::min(folded_ + window_, runs_); }
 
-Arrival FrameAssembler::add(const TileResult& result) {
-    const std::optional<std::uint32_t> run = run_of(spec_, result.task);
-    if (!run) return Arrival::broken;
+bool FrameAssembler::fits(const TileResult& result) const {
+    if (!run_of(spec_, result.task)) return false;
     const Rect rect = tile_rect(spec_.size, result.task.tile);
-    if (result.data.size() != rect.pixels() * std::size_t(floats_per_pixel(channels_)))
-        return Arrival::broken;
-    if (*run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
-    if (*run >= run_limit()) return Arrival::not_wanted;
+    return result.data.size() == rect.pixels() * std::size_t(floats_per_pixel(channels_));
+}
 
-    RunBuffer& buffer = buffer_of(*run);
+Arrival FrameAssembler::add(const TileResult& result) {
+    if (!fits(result)) return Arrival::broken;
+    const std::uint32_t run = *run_of(spec_, result.task);
+    if (run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
+    if (run >= run_limit()) return Arrival::not_wanted;
+
+    RunBuffer& buffer = buffer_of(run);
     if (buffer.tile_here[result.task.tile]) return Arrival::duplicate;
     copy_tile(result, buffer.data);
     buffer.tile_here[result.task.tile] = true;

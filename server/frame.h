@@ -36,6 +36,7 @@ public:
     void fold(const RunBuffer& run, int y0, int y1);
     void finish_run(const RunBuffer& run);
 
+    std::uint32_t runs() const { return runs_; }
     std::uint32_t passes() const { return passes_; }
     /// Standard error of the mean, estimated from how much the runs differ: RMS over pixels and
     /// colour channels, in units of radiance. 0 when there are fewer than two runs.
@@ -72,6 +73,8 @@ class FrameAssembler {
 public:
     explicit FrameAssembler(const FrameSpec& spec);
 
+    /// Whether the result is one of this frame's tasks with the right amount of data.
+    bool fits(const TileResult& result) const;
     Arrival add(const TileResult& result);
 
     /// The next run in order once it is complete; to be folded, then handed back to run_folded.
@@ -83,6 +86,7 @@ public:
     /// are folded or being folded already.
     void limit_passes(std::uint32_t passes);
 
+    std::uint32_t runs() const { return runs_; }
     /// Every run has been folded.
     bool finished() const { return !folding_ && folded_ == runs_; }
     /// Runs before this one may be handed out. Bounds the buffers: at most window() runs are in
