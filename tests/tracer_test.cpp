@@ -139,7 +139,7 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
     const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
     RayMaker maker(scene, tracer->bounds(), 7);
     for (int kind = 0; kind < RayMaker::kinds; ++kind)
-        for (int i = 0; i < 3000; ++i) {
+        for (int i = 0; i < 1500; ++i) {
             const Ray ray = maker.ray(kind);
             const Hit expected = brute_force(scene, ray);
             const Hit hit = tracer->closest_hit(ray);

@@ -107,8 +107,8 @@ public:
                 const Mask4 misses = triangle_ray.surely_misses(block, last_t());
                 if (all(misses)) continue;
                 for (int i = 0; i < 4; ++i)
-                    if (!misses[i] && block.ids[i] != TriangleBlock::no_triangle)
-                        test(triangle_ray, block.lane(i), instance);
+                    if (!misses[i]) test(triangle_ray, block, i, instance);
+                if (any_hit && hit_.valid()) break;
             }
             return last_t();
         });
@@ -120,14 +120,20 @@ public:
     Hit result() const { return hit_.valid() ? hit_ : Hit{}; }
 
 private:
-    void test(const TriangleRay& ray, const Triangle& triangle, std::uint32_t instance) {
+    void test(const TriangleRay& ray, const TriangleBlock& block, int lane,
+              std::uint32_t instance) {
+        const std::uint32_t triangle = block.ids[lane];
+        // The best hit so far is met again in each leaf that its triangle reaches.
+        if (triangle == TriangleBlock::no_triangle ||
+            (triangle == hit_.triangle && instance == hit_.instance))
+            return;
         TriangleHit found;
-        if (!ray.hits(triangle, found)) return;
+        if (!ray.hits(block.lane(lane), found)) return;
         const auto precedes = [&] {
-            return std::pair(instance, triangle.id) < std::pair(hit_.instance, hit_.triangle);
+            return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
         };
         if (found.t < hit_.t || (found.t == hit_.t && hit_.valid() && precedes()))
-            hit_ = {found.t, found.u, found.v, instance, triangle.id};
+            hit_ = {found.t, found.u, found.v, instance, triangle};
     }
 
     Hit hit_;
@@ -190,6 +196,8 @@ private:
 
     template <bool any_hit>
     Hit trace(const Ray& ray) const {
+        // It would meet every cell, only to miss every triangle.
+        if (!is_finite(ray.org) || !is_finite(ray.dir)) return {};
         Query<any_hit> query(ray);
         if (single_)
             query.trace(*single_, ray, 0);
