@@ -190,7 +190,7 @@ Address parse_address(const std::string& text) {
         return UserError(fmt::format("address '{}': {}; write HOST:PORT", text, problem));
     };
     if (colon == std::string::npos) throw fail("no port");
-    Address address{.host = text.substr(0, colon), .port = text.substr(colon + 1)};
+    Address address(text.substr(0, colon), text.substr(colon + 1));
     if (address.host.starts_with('[') && address.host.ends_with(']'))
         address.host = address.host.substr(1, address.host.size() - 2);
     else if (address.host.find(':') != std::string::npos)

@@ -14,6 +14,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/framing.h"
@@ -63,10 +64,13 @@ public:
 
     /// Closes at once; `receive` and `wait_until_drained` end with operation_aborted.
     void close();
+    /// Closes at once for the peer's fault; `receive` ends with ProtocolError(complaint).
+    void close_for(const std::string& complaint);
     /// Closes once everything queued has been sent, or when the peer takes none of it for two
     /// seconds.
     asio::awaitable<void> close_when_sent();
     bool open() const { return socket_.is_open(); }
+    asio::any_io_executor executor() { return socket_.get_executor(); }
     /// "host:port" of the peer, for logs.
     const std::string& remote_address() const { return remote_address_; }
 
@@ -85,7 +89,6 @@ private:
     /// Lets `timer` close the connection after `time` unless armed again or disarmed before.
     void arm(asio::steady_timer& timer, std::chrono::steady_clock::duration time,
              const char* complaint);
-    void close_for(const std::string& complaint);
 
     tcp::socket socket_;
     ConnectionConfig config_;
@@ -103,6 +106,10 @@ private:
 struct Address {
     std::string host;
     std::string port;
+
+    Address() = default;
+    // No aggregate, because gcc 12 miscompiles those written in braces inside a co_await.
+    Address(std::string h, std::string p) : host(std::move(h)), port(std::move(p)) {}
 
     bool operator==(const Address&) const = default;
 };

@@ -1,11 +1,11 @@
 // Who says what to whom: the protocol as plain values. proto/protocol.proto is the public contract;
 // common/messages.cpp is the only place where Protocol Buffers become values and back.
 //
-//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Ping, Pong
+//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
 //   viewer -> server   Hello, SceneUpdate, BlobChunk*, FrameRequest, FrameCancel, StatusRequest,
 //                      Ping, Pong
 //   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
-//                      FrameEnd, Ping, Pong
+//                      FrameEnd, Ping
 //   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, FrameProgress, PictureChunk*,
 //                      FrameDone, Failure, Status, Ping, Pong
 // (* carries a raw payload after the Protocol Buffers message)
@@ -86,6 +86,7 @@ struct BlobChunk {
 
     bool operator==(const BlobChunk&) const = default;
 };
+/// Comes again, with more build_seconds, when a frame has made a worker build more.
 struct SceneReady {
     std::string scene;
     std::uint64_t version = 0;
@@ -188,7 +189,8 @@ struct FrameEnd {
     bool operator==(const FrameEnd&) const = default;
 };
 
-/// Something asked for cannot be done; `request` is 0 when it concerns the whole session.
+/// Something asked for cannot be done. `request` is the viewer's request, from a worker the frame,
+/// and 0 when it concerns neither (a scene that cannot be built).
 struct Failure {
     std::uint64_t request = 0;
     std::string reason;

@@ -8,11 +8,11 @@
 
 namespace tessera {
 
-void end_with_parent(int parent) {
-    const int expected = parent != 0 ? parent : getppid();
+void end_with_parent() {
+    const pid_t parent = getppid();
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     // A parent that ended before the call above sends no signal: somebody else has adopted us.
-    if (getppid() != expected) std::_Exit(EXIT_FAILURE);
+    if (getppid() != parent) std::_Exit(EXIT_FAILURE);
 }
 
 }  // namespace tessera

@@ -3,10 +3,9 @@
 
 namespace tessera {
 
-/// Kills this process (SIGKILL) when its parent ends, however that happens, and at once if it has
-/// ended already. `parent` is the parent's process id, or 0 for whoever is the parent now. To be
-/// called first thing in main. The kernel takes the death of the *thread* that started this process
+/// Kills this process (SIGKILL) when its parent ends, however that happens. To be called early in
+/// main. The kernel takes the death of the *thread* that started this process
 /// for the parent's: a program that starts such children does so from a thread that outlives them.
-void end_with_parent(int parent = 0);
+void end_with_parent();
 
 }  // namespace tessera
