@@ -19,11 +19,19 @@ struct IgiConfig {
     /// make bright spots (Kollig and Keller, "Illumination in the Presence of Weak Singularities",
     /// 2004).
     float max_geometry = infinity;
+    std::uint32_t bounces = 64;
 };
 
 /// Adds direct irradiance to `pixels`. Returns the number of rays traced.
 std::uint64_t gather_direct(const World& world, const TilePass& tile,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
+
+/// Adds what the bound takes away from gather_indirect(): one short scattered ray per receiver
+/// finds a surface so near that its geometry term exceeds the bound, and adds the excess of its
+/// light. Returns the number of rays traced.
+std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
+                                  const VplSets& sets, std::span<const Receiver> receivers,
+                                  std::span<PixelSample> pixels);
 
 /// Adds indirect irradiance, each pixel from its own set. Returns the number of rays traced.
 std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,

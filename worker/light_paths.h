@@ -35,7 +35,7 @@ struct VplConfig {
 };
 
 /// Candidates per VPL taken.
-inline constexpr std::uint32_t candidates_per_vpl = 4;
+inline constexpr std::uint32_t candidates_per_vpl = 8;
 
 /// Light paths per pass that make about candidates_per_vpl * n * n * vpls candidates: found by
 /// walking a fixed number of paths.

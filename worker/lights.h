@@ -50,8 +50,11 @@ private:
         std::uint32_t instance = 0;
         std::uint32_t triangle = 0;
         bool two_sided = false;
+        bool textured = false;
         WorldTriangle shape;
         float area = 0;
+        vec3 off_front{0};
+        vec3 radiance{0};  ///< mean of the emitting side
     };
 
     void add_triangles(std::uint32_t instance, std::vector<float>& power);
@@ -59,11 +62,11 @@ private:
                                                      float probability, const vec2& u) const;
     std::optional<LightSample> sample_punctual(const Light& light, const vec3& p,
                                                float probability) const;
+    vec3 radiance(const TriangleLight& light, const vec2& b) const;
     EmissionSample emit_from_triangle(const TriangleLight& light, float u_side, const vec2& u_place,
                                       const vec2& u_dir) const;
     EmissionSample emit_from_punctual(const Light& light, const vec2& u_place,
                                       const vec2& u_dir) const;
-    float power(const TriangleLight& light) const;
     float power(const Light& light) const;
 
     const Surfaces* surfaces_;

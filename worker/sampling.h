@@ -160,8 +160,7 @@ inline Distribution::Distribution(std::span<const float> weights) {
 }
 
 inline Distribution::Choice Distribution::sample(float u) const {
-    // The last sum is 1 up to rounding: keep u below it.
-    u = std::min(u, std::nextafter(cumulative_.back(), 0.0f));
+    // The last sum is exactly 1, so that there is always one above u.
     const auto above = std::upper_bound(cumulative_.begin(), cumulative_.end(), u);
     const auto index = std::uint32_t(above - cumulative_.begin() - 1);
     const float p = probability(index);
