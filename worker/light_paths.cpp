@@ -97,7 +97,7 @@ std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::
         std::uint32_t mirrors = 0;
     };
     std::vector<Vpl> vpls;
-    if (world.lights.empty()) return vpls;
+    if (world.lights.empty() || bounces == 0) return vpls;
 
     // Start all paths at lights.
     std::vector<Walk> walks;
@@ -172,7 +172,7 @@ std::uint32_t count_light_paths(const World& world, const VplConfig& config) {
     const std::uint64_t wanted =
         std::uint64_t(candidates_per_vpl) * config.interleave * config.interleave * config.vpls;
     return std::uint32_t(std::clamp<std::uint64_t>(wanted * tried / std::max<std::size_t>(made, 1),
-                                                   1, 64 * wanted + 1));
+                                                   1, 8 * wanted + 1));
 }
 
 VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t pass,
