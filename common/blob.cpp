@@ -38,6 +38,12 @@ void BlobStore::merge(const BlobStore& other) {
     blobs_.insert(other.blobs_.begin(), other.blobs_.end());
 }
 
+std::uint64_t BlobStore::bytes() const {
+    std::uint64_t sum = 0;
+    for (const auto& [id, blob] : blobs_) sum += blob->size();
+    return sum;
+}
+
 void BlobStore::keep_only(std::span<const BlobId> wanted) {
     const std::set<BlobId> keep(wanted.begin(), wanted.end());
     std::erase_if(blobs_, [&](const auto& entry) { return !keep.contains(entry.first); });

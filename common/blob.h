@@ -39,6 +39,8 @@ public:
     /// Adds all blobs of `other`.
     void merge(const BlobStore& other);
     std::size_t size() const { return blobs_.size(); }
+    /// Bytes of all blobs together.
+    std::uint64_t bytes() const;
     /// Drops every blob that is not in `wanted`.
     void keep_only(std::span<const BlobId> wanted);
 

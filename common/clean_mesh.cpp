@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <limits>
 
 #include "common/check.h"
@@ -124,6 +125,8 @@ MeshCleaning clean_mesh(Mesh& mesh) {
     drop_bad_triangles(mesh, cleaning);
     drop_unused_vertices(mesh);
     repair_attributes(mesh, cleaning);
+    const auto is_zero = [](std::uint16_t slot) { return slot == 0; };
+    if (std::all_of(mesh.slots.begin(), mesh.slots.end(), is_zero)) mesh.slots.clear();
     if (mesh.triangles.empty()) cleaning.empty_meshes = 1;
     return cleaning;
 }
@@ -140,9 +143,13 @@ std::vector<std::string> describe(const MeshCleaning& cleaning) {
     return notes;
 }
 
-void append(Mesh& mesh, Mesh part, std::uint16_t slot) {
+void append(Mesh& mesh, Mesh part) {
     if (part.triangles.empty()) return;
-    if (!mesh.triangles.empty() && mesh.normals.empty() != part.normals.empty())
+    if (mesh.triangles.empty()) {
+        mesh = std::move(part);
+        return;
+    }
+    if (mesh.normals.empty() != part.normals.empty())
         add_flat_normals(mesh.normals.empty() ? mesh : part);
     if (!mesh.texcoords.empty() || !part.texcoords.empty()) {
         mesh.texcoords.resize(mesh.positions.size());
@@ -153,8 +160,12 @@ void append(Mesh& mesh, Mesh part, std::uint16_t slot) {
     append_values(mesh.positions, part.positions);
     append_values(mesh.normals, part.normals);
     append_values(mesh.texcoords, part.texcoords);
+    if (!mesh.slots.empty() || !part.slots.empty()) {
+        mesh.slots.resize(mesh.triangles.size());
+        part.slots.resize(part.triangles.size());
+        append_values(mesh.slots, part.slots);
+    }
     for (const uvec3& t : part.triangles) mesh.triangles.push_back(t + first);
-    mesh.slots.insert(mesh.slots.end(), part.triangles.size(), slot);
 }
 
 }  // namespace tessera

@@ -22,15 +22,16 @@ struct MeshCleaning {
 
 /// Drops degenerate triangles and those with vertices that are not finite, then the vertices that
 /// no triangle uses. A normal that is no direction becomes that of a triangle at its vertex; a
-/// texture coordinate that is not finite becomes zero. Indices must be in range.
+/// texture coordinate that is not finite becomes zero. Slots that are all zero go. Indices must be
+/// in range.
 MeshCleaning clean_mesh(Mesh& mesh);
 
 /// One sentence for each count that is not zero.
 std::vector<std::string> describe(const MeshCleaning& cleaning);
 
-/// Appends `part`, all in `slot`, to `mesh`. A side that lacks normals gets those of its triangles
-/// (its vertices are split for that: it looks flat, as without normals); missing texture
-/// coordinates are zero.
-void append(Mesh& mesh, Mesh part, std::uint16_t slot);
+/// Appends `part` to `mesh`, both clean. A side that lacks normals gets those of its triangles (its
+/// vertices are split for that: it looks flat, as without normals); missing texture coordinates and
+/// slots are zero.
+void append(Mesh& mesh, Mesh part);
 
 }  // namespace tessera

@@ -1,15 +1,24 @@
 // One peer over TCP: messages out through a bounded queue with two lanes, messages in by coroutine.
+// A session is a loop over `receive`; writing goes on by itself while anything is queued.
+//
+// After the C++20 coroutine examples of Boost.Asio (Kohlhoff). Where we differ: the queue towards
+// the peer is bounded, and every wait for the peer has an end.
 #pragma once
 
+#include <array>
 #include <boost/asio.hpp>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "common/framing.h"
+#include "common/message_codec.h"
 #include "common/messages.h"
 
 namespace tessera {
@@ -17,41 +26,101 @@ namespace tessera {
 namespace asio = boost::asio;
 using tcp = asio::ip::tcp;
 
-/// All calls from one executor (strand); `run_writer` and `receive` are its two loops.
+struct ConnectionConfig {
+    /// Nothing is ever dropped from a queue: a peer that gets one more message while more than this
+    /// is waiting for it is disconnected. One message alone is never too large for it.
+    std::size_t max_queued_bytes = 64u << 20;
+    /// Time in which the peer must take the next piece of a write, else it counts as gone.
+    std::chrono::steady_clock::duration write_deadline = std::chrono::seconds(30);
+};
+
+/// All calls come from the socket's executor (a strand, or an io_context that one thread runs).
+/// Made by std::make_shared. The owner may let go of it at any time: what is queued is still sent.
 class Connection : public std::enable_shared_from_this<Connection> {
 public:
-    explicit Connection(tcp::socket socket);  ///< sets TCP_NODELAY
+    /// Takes over a connected socket; sets TCP_NODELAY, and keepalive so that a peer whose machine
+    /// is gone is noticed within half a minute even if nobody speaks.
+    explicit Connection(tcp::socket socket, const ConnectionConfig& config = {});
 
-    /// Reads the next message; `deadline` bounds the wait for its first byte.
-    /// Throws ProtocolError (peer's fault) or boost::system::system_error (connection lost, timed
-    /// out).
+    /// The next message. `silence` bounds the time in which not a single byte arrives.
+    /// Throws ProtocolError when the peer sends something malformed, reads too slowly or is silent
+    /// for too long, boost::system::system_error when the connection is lost or closed. Whatever it
+    /// throws, the connection is closed.
     asio::awaitable<Message> receive(
-        std::optional<std::chrono::steady_clock::duration> deadline = {},
-        const FrameLimits& limits = {});
+        std::optional<std::chrono::steady_clock::duration> silence = {}, FrameLimits limits = {});
 
-    /// Queues a message. Bulk messages go out only when no control message waits. Policy: nothing
-    /// is ever dropped; a peer that lets more than `max_queued_bytes` pile up is disconnected. Bulk
-    /// data is therefore to be fed while `queued_bytes()` is low; see wait_until_drained.
+    /// Queues a message; within a lane messages keep their order, and bulk messages go out only
+    /// when no control message waits. Never blocks and never throws for the peer's faults; on a
+    /// closed connection it does nothing. Bulk data is to be fed while `queued_bytes()` is low, see
+    /// wait_until_drained.
     void send(Message message);
     void send_bulk(Message message);
 
-    std::size_t queued_bytes() const;
-    /// Returns when at most `bytes` wait to be sent; throws when the connection closes first.
+    /// Bytes queued or being written, both lanes.
+    std::size_t queued_bytes() const { return queued_bytes_; }
+    /// Returns when at most `bytes` wait to be sent; throws boost::system::system_error when the
+    /// connection closes first. Any number of coroutines may wait.
     asio::awaitable<void> wait_until_drained(std::size_t bytes);
 
-    /// Closes at once; receive and the writer end with operation_aborted.
+    /// Closes at once; `receive` and `wait_until_drained` end with operation_aborted.
     void close();
-    /// Closes once everything queued has been sent, or after two seconds.
+    /// Closes at once for the peer's fault; `receive` ends with ProtocolError(complaint).
+    void close_for(const std::string& complaint);
+    /// Closes once everything queued has been sent, or when the peer takes none of it for two
+    /// seconds.
     asio::awaitable<void> close_when_sent();
-    bool open() const;
-    std::string remote_address() const;
+    bool open() const { return socket_.is_open(); }
+    asio::any_io_executor executor() { return socket_.get_executor(); }
+    /// "host:port" of the peer, for logs.
+    const std::string& remote_address() const { return remote_address_; }
+
+private:
+    using Lane = std::deque<EncodedMessage>;
+
+    void enqueue(Lane& lane, Message message);
+    /// Messages that go out with one system call, all of one lane.
+    std::vector<EncodedMessage> take_batch();
+    /// Runs while anything is queued.
+    asio::awaitable<void> write_all();
+    /// Returns when something was sent or the connection closed.
+    asio::awaitable<void> progress();
+    asio::awaitable<void> read_exactly(asio::mutable_buffer into,
+                                       std::optional<std::chrono::steady_clock::duration> silence);
+    /// Lets `timer` close the connection after `time` unless armed again or disarmed before.
+    void arm(asio::steady_timer& timer, std::chrono::steady_clock::duration time,
+             const char* complaint);
+
+    tcp::socket socket_;
+    ConnectionConfig config_;
+    std::string remote_address_;
+    Lane control_;
+    Lane bulk_;
+    std::size_t queued_bytes_ = 0;
+    bool writing_ = false;
+    std::string complaint_;  ///< why we closed, when it was the peer's fault
+    asio::steady_timer read_timer_;
+    asio::steady_timer write_timer_;
+    asio::steady_timer drained_;  ///< cancelled whenever queued_bytes_ falls or the socket closes
 };
 
-/// "host:port" -> endpoints; throws UserError when it cannot be parsed or resolved.
 struct Address {
     std::string host;
     std::string port;
+
+    Address() = default;
+    // No aggregate, because gcc 12 miscompiles those written in braces inside a co_await.
+    Address(std::string h, std::string p) : host(std::move(h)), port(std::move(p)) {}
+
+    bool operator==(const Address&) const = default;
 };
+
+/// "host:port" or "[IPv6]:port"; throws UserError that says so for anything else. Port 0 is left to
+/// the caller (to listen on a free port).
 Address parse_address(const std::string& text);
+
+/// Connects to the first of the address's endpoints that answers. Throws UserError naming the
+/// address, the reason and what to do.
+asio::awaitable<std::shared_ptr<Connection>> connect(
+    Address address, std::chrono::steady_clock::duration timeout = std::chrono::seconds(5));
 
 }  // namespace tessera

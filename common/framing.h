@@ -4,7 +4,7 @@
 //
 //   offset  bytes  little-endian
 //   0       4      magic "TSR1"
-//   4       2      kind: index of the message in MessageBody / oneof number in protocol.proto
+//   4       2      kind: number of the message in protocol.proto's enum Kind
 //   6       2      reserved, zero
 //   8       4      length of the message in bytes
 //   12      4      length of the payload in bytes

@@ -29,5 +29,7 @@ void write_srgb8(std::span<const std::uint8_t> rgb, ImageSize size,
 /// UserError; `origin` names the source in the message.
 Texture decode_picture(std::span<const std::byte> encoded, const std::string& origin);
 Texture read_texture(const std::filesystem::path& file);
+/// The texture's pixels as a PNG file in memory: decode_picture() gives them back as they were.
+Bytes encode_png(const Texture& texture);
 
 }  // namespace tessera

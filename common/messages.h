@@ -3,9 +3,10 @@
 //
 //   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
 //   viewer -> server   Hello, SceneUpdate, BlobChunk*, FrameRequest, FrameCancel, StatusRequest,
-//   Ping, Pong server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, FrameBegin, TileTask,
-//   FrameEnd, SceneDrop, Ping server -> viewer   Welcome | Refused, BlobRequest, SceneReady,
-//   FrameProgress, PictureChunk*,
+//                      Ping, Pong
+//   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
+//                      FrameEnd, Ping
+//   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, FrameProgress, PictureChunk*,
 //                      FrameDone, Failure, Status, Ping, Pong
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
@@ -44,42 +45,61 @@ struct Hello {
     std::string token;
     std::string name;           ///< how logs and status call this peer
     std::uint32_t threads = 0;  ///< worker: render threads
+
+    bool operator==(const Hello&) const = default;
 };
 struct Welcome {
     std::uint64_t peer = 0;
     std::string build;
     std::vector<std::string> scenes;  ///< scenes that the server holds, first loaded first
+
+    bool operator==(const Welcome&) const = default;
 };
 /// The server will not talk to this peer; a sentence that says what to do. Closes the connection.
 struct Refused {
     std::string reason;
+
+    bool operator==(const Refused&) const = default;
 };
 
 /// Brings a scene from delta.base_version to delta.next_version. The receiver answers with
 /// BlobRequest for what it lacks (possibly nothing) and, when it holds everything, with SceneReady.
+/// A version that a newer update overtakes on the way may be left out: SceneReady then comes for
+/// the newer one only. A delta from version 0 replaces the scene, whatever the receiver holds.
 struct SceneUpdate {
     std::string scene;
     SceneDelta delta;
+
+    bool operator==(const SceneUpdate&) const = default;
 };
 struct BlobRequest {
     std::string scene;
     std::vector<BlobId> blobs;
+
+    bool operator==(const BlobRequest&) const = default;
 };
 /// Bytes [offset, offset + payload) of a blob of `total` bytes, in order.
 struct BlobChunk {
     BlobId blob;
     std::uint64_t offset = 0;
     std::uint64_t total = 0;
+
+    bool operator==(const BlobChunk&) const = default;
 };
+/// Comes again, with more build_seconds, when a frame has made a worker build more.
 struct SceneReady {
     std::string scene;
     std::uint64_t version = 0;
     double build_seconds = 0;
     std::vector<std::string> modelled;  ///< ScenePlan
     std::vector<std::string> left_out;
+
+    bool operator==(const SceneReady&) const = default;
 };
 struct SceneDrop {
     std::string scene;
+
+    bool operator==(const SceneDrop&) const = default;
 };
 
 /// How the picture shall come back.
@@ -95,9 +115,13 @@ struct FrameRequest {
     ToneMap tone_map;
     double time_limit = 0;   ///< seconds of rendering after which passes stop; 0: none
     double error_limit = 0;  ///< error estimate at which passes stop; 0: none
+
+    bool operator==(const FrameRequest&) const = default;
 };
 struct FrameCancel {
     std::uint64_t request = 0;
+
+    bool operator==(const FrameCancel&) const = default;
 };
 struct FrameProgress {
     std::uint64_t request = 0;
@@ -106,6 +130,8 @@ struct FrameProgress {
     std::uint32_t passes_done = 0;
     std::uint32_t workers = 0;
     double error_estimate = 0;
+
+    bool operator==(const FrameProgress&) const = default;
 };
 /// Bytes [offset, offset + payload) of a channel's pixels: rows from the top, interleaved,
 /// little-endian. The picture itself has channel `radiance`.
@@ -118,12 +144,16 @@ struct PictureChunk {
     std::uint32_t components = 3;
     std::uint64_t offset = 0;
     std::uint64_t total = 0;
+
+    bool operator==(const PictureChunk&) const = default;
 };
 struct WorkerShare {
     std::string name;
     std::uint32_t threads = 0;
     std::uint64_t tiles = 0;
     std::uint64_t rays = 0;
+
+    bool operator==(const WorkerShare&) const = default;
 };
 struct FrameStatistics {
     double build_seconds = 0;   ///< the slowest worker's
@@ -136,28 +166,41 @@ struct FrameStatistics {
     std::vector<std::string> modelled;
     std::vector<std::string> left_out;
     std::vector<WorkerShare> workers;
+
+    bool operator==(const FrameStatistics&) const = default;
 };
 /// Follows the last PictureChunk.
 struct FrameDone {
     std::uint64_t request = 0;
     FrameStatistics statistics;
+
+    bool operator==(const FrameDone&) const = default;
 };
 
 struct FrameBegin {
     FrameSpec spec;
+
+    bool operator==(const FrameBegin&) const = default;
 };
 /// The frame is finished or superseded: drop what is kept for it and its tasks not yet begun.
 struct FrameEnd {
     std::uint64_t frame = 0;
+
+    bool operator==(const FrameEnd&) const = default;
 };
 
-/// Something asked for cannot be done; `request` is 0 when it concerns the whole session.
+/// Something asked for cannot be done. `request` is the viewer's request, from a worker the frame,
+/// and 0 when it concerns neither (a scene that cannot be built).
 struct Failure {
     std::uint64_t request = 0;
     std::string reason;
+
+    bool operator==(const Failure&) const = default;
 };
 
-struct StatusRequest {};
+struct StatusRequest {
+    bool operator==(const StatusRequest&) const = default;
+};
 struct WorkerStatus {
     std::uint64_t peer = 0;
     std::string name;
@@ -167,12 +210,16 @@ struct WorkerStatus {
     std::uint64_t tiles = 0;
     std::uint64_t rays = 0;
     double round_trip_seconds = 0;
+
+    bool operator==(const WorkerStatus&) const = default;
 };
 struct SceneStatus {
     std::string name;
     std::uint64_t version = 0;
     std::uint64_t instances = 0;
     std::uint64_t bytes = 0;  ///< meshes and textures
+
+    bool operator==(const SceneStatus&) const = default;
 };
 struct Status {
     std::string build;
@@ -182,13 +229,19 @@ struct Status {
     std::uint64_t frames_done = 0;
     std::vector<SceneStatus> scenes;
     std::vector<WorkerStatus> workers;
+
+    bool operator==(const Status&) const = default;
 };
 
 struct Ping {
     std::uint64_t stamp = 0;  ///< the sender's own; comes back in Pong
+
+    bool operator==(const Ping&) const = default;
 };
 struct Pong {
     std::uint64_t stamp = 0;
+
+    bool operator==(const Pong&) const = default;
 };
 
 using MessageBody = std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk,

@@ -145,6 +145,8 @@ struct TileResult {
     std::uint64_t sanitised = 0;  ///< values that were not finite and were replaced by zero
     float seconds = 0;            ///< time spent rendering
     std::vector<float> data;
+
+    bool operator==(const TileResult&) const = default;
 };
 
 }  // namespace tessera

@@ -51,10 +51,11 @@ EmbreeScene object_scene(RTCDevice device, const TracerObject& object) {
 }
 
 RTCRay embree_ray(const Ray& ray) {
-    // Embree accepts t == tfar.
+    // Embree accepts the ends of the segment.
+    const float tnear = std::nextafter(ray.tmin, infinity);
     const float tfar = std::isinf(ray.tmax) ? ray.tmax : std::nextafter(ray.tmax, -infinity);
-    return {ray.org.x, ray.org.y, ray.org.z, ray.tmin, ray.dir.x, ray.dir.y,
-            ray.dir.z, 0,         tfar,      ~0u,      0,         0};
+    return {ray.org.x, ray.org.y, ray.org.z, tnear, ray.dir.x, ray.dir.y,
+            ray.dir.z, 0,         tfar,      ~0u,   0,         0};
 }
 
 class EmbreeTracer final : public Tracer {

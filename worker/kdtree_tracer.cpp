@@ -14,7 +14,8 @@
 namespace tessera {
 namespace {
 
-constexpr KdCosts object_costs{.traversal = 1, .intersection = 1.5f};
+// Rays are as fast in trees from 0.5 to 4; the leanest is smallest and soonest built.
+constexpr KdCosts object_costs{.traversal = 1, .intersection = 0.5f};
 // A ray that meets an instance is transformed and walks a tree.
 constexpr KdCosts top_costs{.traversal = 1, .intersection = 20};
 

@@ -36,17 +36,24 @@ struct Shear {
     T sx, sy, sz;
 };
 
-/// A triangle's edge functions (weights of its vertices but for a common factor) and its vertices
-/// relative to the ray's origin along z.
+/// A triangle seen along the ray: its vertices relative to the origin, sheared, and its edge
+/// functions, which are the weights of its vertices but for a common factor.
 template <class T>
-struct Edges {
-    T u, v, w;
-    T az, bz, cz;
-    T extent;  ///< largest absolute coordinate of a vertex relative to the origin
+struct ShearedTriangle {
+    T ax, ay, az, bx, by, bz, cx, cy, cz;
+    T u = cx * by - cy * bx;
+    T v = ax * cy - ay * cx;
+    T w = bx * ay - by * ax;
 
     bool signs_differ(T tolerance) const {
         return std::min({u, v, w}) < -tolerance && std::max({u, v, w}) > tolerance;
     }
+    /// Largest distance of a vertex from the ray along x or y.
+    T width() const {
+        return std::max(
+            {std::abs(ax), std::abs(ay), std::abs(bx), std::abs(by), std::abs(cx), std::abs(cy)});
+    }
+    T extent() const { return std::max({width(), std::abs(az), std::abs(bz), std::abs(cz)}); }
 };
 
 struct TriangleHit {
@@ -67,7 +74,7 @@ private:
     template <class T>
     Shear<T> shear(const Ray& ray) const;
     template <class T>
-    Edges<T> edges(const Shear<T>& shear, const Triangle& triangle) const;
+    ShearedTriangle<T> sheared(const Shear<T>& shear, const Triangle& triangle) const;
 
     int x_, y_, z_;
     float tmin_, tmax_;
@@ -94,34 +101,31 @@ Shear<T> TriangleRay::shear(const Ray& ray) const {
 }
 
 template <class T>
-inline Edges<T> TriangleRay::edges(const Shear<T>& s, const Triangle& triangle) const {
+inline ShearedTriangle<T> TriangleRay::sheared(const Shear<T>& s, const Triangle& triangle) const {
     const T az = T(triangle.a[z_]) - s.org[2];
     const T bz = T(triangle.b[z_]) - s.org[2];
     const T cz = T(triangle.c[z_]) - s.org[2];
-    const T ax0 = T(triangle.a[x_]) - s.org[0], ay0 = T(triangle.a[y_]) - s.org[1];
-    const T bx0 = T(triangle.b[x_]) - s.org[0], by0 = T(triangle.b[y_]) - s.org[1];
-    const T cx0 = T(triangle.c[x_]) - s.org[0], cy0 = T(triangle.c[y_]) - s.org[1];
-    const T ax = ax0 - s.sx * az, ay = ay0 - s.sy * az;
-    const T bx = bx0 - s.sx * bz, by = by0 - s.sy * bz;
-    const T cx = cx0 - s.sx * cz, cy = cy0 - s.sy * cz;
-    const T extent =
-        std::max({std::abs(ax0), std::abs(ay0), std::abs(az), std::abs(bx0), std::abs(by0),
-                  std::abs(bz), std::abs(cx0), std::abs(cy0), std::abs(cz)});
-    return {cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax, az, bz, cz, extent};
+    const auto x = [&](const vec3& p, T z) { return (T(p[x_]) - s.org[0]) - s.sx * z; };
+    const auto y = [&](const vec3& p, T z) { return (T(p[y_]) - s.org[1]) - s.sy * z; };
+    return {x(triangle.a, az), y(triangle.a, az), az, x(triangle.b, bz), y(triangle.b, bz), bz,
+            x(triangle.c, cz), y(triangle.c, cz), cz};
 }
 
 inline bool TriangleRay::hits(const Triangle& triangle, TriangleHit& hit) const {
-    // With vertices within M of the origin and |sx|, |sy| <= 1, a sheared coordinate is at most 2 M
-    // and wrong by less than 8 M units of 2^-24, an edge function by less than 80 M^2 of them.
-    const Edges<float> rough = edges(rough_, triangle);
-    if (rough.signs_differ(128 * 0x1p-24f * rough.extent * rough.extent)) return false;
+    // With vertices within M of the origin, M = extent(), and |sx|, |sy| <= 1, a sheared coordinate
+    // is wrong by at most 6 M units of 2^-24, an edge function by 28 M^2.
+    const ShearedTriangle<float> rough = sheared(rough_, triangle);
+    if (rough.signs_differ(64 * 0x1p-24f * rough.extent() * rough.extent())) return false;
 
-    const Edges<double> e = edges(exact_, triangle);
+    const ShearedTriangle<double> e = sheared(exact_, triangle);
     if (e.signs_differ(0)) return false;
-    const double scale = 1 / (e.u + e.v + e.w);
+    // Edge functions of a triangle too small for its distance from the ray are but rounding errors.
+    // So are those of one seen edge-on; what is not a number is a miss.
+    const double det = e.u + e.v + e.w;
+    if (!(std::abs(det) > 8 * 0x1p-53 * e.width() * e.width())) return false;
+    const double scale = 1 / det;
     const double t = (e.u * e.az + e.v * e.bz + e.w * e.cz) * (exact_.sz * scale);
     hit = {float(t), float(e.v * scale), float(e.w * scale)};
-    // Edge-on triangles divide by zero; what is not a number is a miss.
     return hit.t > tmin_ && hit.t < tmax_;
 }
 

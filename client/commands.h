@@ -1,0 +1,14 @@
+// The subcommands of `tessera`. Each function adds one to the parser; its work runs as the parser's
+// callback and ends in UserError or Interrupted when it cannot be done.
+#pragma once
+
+#include <CLI/CLI.hpp>
+
+namespace tessera {
+
+void add_render_command(CLI::App& app);
+void add_status_command(CLI::App& app);
+void add_compare_command(CLI::App& app);
+void add_scene_command(CLI::App& app);
+
+}  // namespace tessera

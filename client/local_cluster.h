@@ -1,0 +1,58 @@
+// The embedded default: a server and workers as child processes on loopback, on an ephemeral port
+// and with a random token. The same programs as on a cluster, and gone when this object is, however
+// it ends: the children also end by themselves when this process dies.
+#pragma once
+
+#include <sys/types.h>
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace tessera {
+
+struct LocalClusterConfig {
+    int workers = 1;
+    int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
+    std::string log_level = "warning";
+    std::filesystem::path
+        programs;  ///< where tessera-server and -worker lie; empty: beside this one
+};
+
+class LocalCluster {
+public:
+    /// Starts the processes. Throws UserError when a program is missing or does not start.
+    explicit LocalCluster(const LocalClusterConfig& config);
+    ~LocalCluster();
+    LocalCluster(const LocalCluster&) = delete;
+    LocalCluster& operator=(const LocalCluster&) = delete;
+
+    const std::string& address() const { return address_; }
+    const std::string& token() const { return token_; }
+
+    /// Worker processes, for tests that hurt them.
+    std::vector<pid_t> workers() const;
+
+    /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
+    void check_alive();
+
+private:
+    struct Child {
+        pid_t pid = 0;
+        std::string name;
+        bool server = false;
+        std::optional<int> ended;  ///< wait status
+    };
+    pid_t spawn(const std::string& program, const std::vector<std::string>& arguments,
+                int stdout_fd);
+    void reap();
+    void stop();
+
+    LocalClusterConfig config_;
+    std::string token_;
+    std::string address_;
+    std::vector<Child> children_;
+};
+
+}  // namespace tessera

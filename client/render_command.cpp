@@ -1,0 +1,321 @@
+// tessera render: one picture of a scene to a file, on the embedded cluster or on a server.
+
+#include <fmt/format.h>
+
+#include <chrono>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "client/commands.h"
+#include "client/interrupt.h"
+#include "client/local_cluster.h"
+#include "client/progress_bar.h"
+#include "client/render_client.h"
+#include "common/check.h"
+#include "common/image_io.h"
+#include "common/message_codec.h"
+#include "common/scene_bounds.h"
+#include "common/scene_io.h"
+
+namespace tessera {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct RenderOptions {
+    std::string scene;
+    std::string output;
+    ImageSize size{640, 480};
+    std::vector<float> eye, at, up;
+    std::optional<float> fov;
+    std::string camera;
+    Integrator integrator = Integrator::igi;
+    TracerKind tracer = TracerKind::kdtree;
+    FilterPlace filter = FilterPlace::server;
+    std::optional<std::uint32_t> passes, antialiasing;
+    std::uint32_t vpls = 24;
+    RenderSettings settings;
+    double time_limit = 0;
+    double error_limit = 0;
+    ToneMap tone_map;
+    std::vector<Channel> aov;
+    std::string server;
+    LocalClusterConfig cluster;
+    std::string stats;
+};
+
+const std::map<std::string, Channel> aov_names = {
+    {"albedo", Channel::albedo}, {"normal", Channel::normal},
+    {"depth", Channel::depth},   {"irradiance", Channel::irradiance},
+    {"direct", Channel::direct}, {"indirect", Channel::indirect}};
+
+/// Refinement goes on this long when only a limit of time or error is given.
+constexpr std::uint32_t passes_without_end = 1u << 20;
+
+ImageSize parse_size(const std::string& text) {
+    ImageSize size;
+    char x = 0, rest = 0;
+    const bool parsed =
+        std::sscanf(text.c_str(), "%d%c%d%c", &size.width, &x, &size.height, &rest) == 3 &&
+        x == 'x';
+    if (!parsed || std::min(size.width, size.height) < 1 ||
+        std::max(size.width, size.height) > max_image_side || size.pixels() > max_image_pixels)
+        throw CLI::ValidationError(
+            "--size",
+            fmt::format("`{}` is not WIDTHxHEIGHT, each at most {} and together at most {} pixels",
+                        text, max_image_side, max_image_pixels));
+    return size;
+}
+
+vec3 to_vec3(const std::vector<float>& v) { return {v[0], v[1], v[2]}; }
+
+Camera scene_camera(const RenderOptions& options, const SceneBundle& bundle, ProgressBar& bar) {
+    const std::vector<Camera>& cameras = bundle.scene.cameras;
+    if (options.camera.empty()) {
+        if (!cameras.empty()) return cameras.front();
+        if (options.eye.empty()) bar.note("no camera in the scene: framing all of it");
+        return framing_camera(scene_bounds(bundle));
+    }
+    std::string known;
+    for (const Camera& camera : cameras) {
+        if (camera.name == options.camera) return camera;
+        known += (known.empty() ? "" : ", ") + camera.name;
+    }
+    throw UserError(fmt::format("--camera {}: the scene has no such camera; it has: {}",
+                                options.camera, known.empty() ? "none" : known));
+}
+
+Camera chosen_camera(const RenderOptions& options, const SceneBundle& bundle, ProgressBar& bar) {
+    Camera camera = scene_camera(options, bundle, bar);
+    if (!options.eye.empty()) camera.eye = to_vec3(options.eye);
+    if (!options.at.empty()) camera.at = to_vec3(options.at);
+    if (!options.up.empty()) camera.up = to_vec3(options.up);
+    if (options.fov) camera.fov_y = *options.fov;
+    const vec3 view = camera.at - camera.eye;
+    if (glm::length(glm::cross(view, camera.up)) <=
+        1e-6f * glm::length(view) * glm::length(camera.up))
+        throw UserError(
+            "the camera looks along its own up direction or nowhere: change --eye, --at or --up");
+    return camera;
+}
+
+/// N eye rays share a pixel's M VPLs (Wald 2004, 13.3.4) as N passes of M/N VPLs each.
+RenderSettings settings_of(const RenderOptions& options) {
+    const bool igi = options.integrator == Integrator::igi;
+    const std::uint32_t antialiasing = options.antialiasing.value_or(igi ? 4 : 1);
+    const bool limited = options.time_limit > 0 || options.error_limit > 0;
+    const std::uint32_t passes = options.passes.value_or(limited ? passes_without_end
+                                                         : igi   ? 1
+                                                                 : 64);
+    RenderSettings settings = options.settings;
+    settings.integrator = options.integrator;
+    settings.tracer = options.tracer;
+    settings.filter = options.filter;
+    settings.passes = std::uint32_t(
+        std::min<std::uint64_t>(std::uint64_t(passes) * antialiasing, passes_without_end));
+    settings.vpls = std::max(1u, options.vpls / antialiasing);
+    return settings;
+}
+
+FrameRequest request_of(const RenderOptions& options, const std::string& scene,
+                        const Camera& camera) {
+    FrameRequest request;
+    request.spec.scene = scene;
+    request.spec.size = options.size;
+    request.spec.camera = camera;
+    request.spec.settings = settings_of(options);
+    for (const Channel channel : options.aov) request.spec.extra = request.spec.extra.with(channel);
+    request.format =
+        keeps_linear(options.output) ? PictureFormat::linear_float : PictureFormat::srgb8;
+    request.tone_map = options.tone_map;
+    request.time_limit = options.time_limit;
+    request.error_limit = options.error_limit;
+    return request;
+}
+
+std::string aov_file(const std::string& output, const std::string& name) {
+    return std::filesystem::path(output).replace_extension("." + name + ".exr").string();
+}
+
+void write_pictures(const RenderOptions& options, const FrameRequest& request,
+                    const RenderedFrame& frame) {
+    if (request.format == PictureFormat::srgb8)
+        write_srgb8(frame.srgb8, options.size, options.output);
+    else
+        write_image(frame.channels.at(Channel::radiance), options.output);
+    for (const auto& [name, channel] : aov_names)
+        if (request.spec.extra.has(channel))
+            write_image(frame.channels.at(channel), aov_file(options.output, name));
+}
+
+void write_statistics(const std::string& file, double load_seconds, const FrameStatistics& s) {
+    nlohmann::json json = {{"load_seconds", load_seconds},
+                           {"build_seconds", s.build_seconds},
+                           {"render_seconds", s.render_seconds},
+                           {"passes", s.passes},
+                           {"rays", s.rays},
+                           {"sanitised_values", s.sanitised},
+                           {"tiles_reissued", s.tiles_reissued},
+                           {"error_estimate", s.error_estimate},
+                           {"plan", {{"modelled", s.modelled}, {"left_out", s.left_out}}},
+                           {"workers", nlohmann::json::array()}};
+    for (const WorkerShare& w : s.workers)
+        json["workers"].push_back(
+            {{"name", w.name}, {"threads", w.threads}, {"tiles", w.tiles}, {"rays", w.rays}});
+    std::ofstream out(file);
+    out << json.dump(2) << '\n';
+    if (!out.flush()) throw UserError(fmt::format("cannot write {}", file));
+}
+
+void show_progress(ProgressBar& bar, const FrameProgress& p) {
+    if (p.workers == 0) bar.note("no worker is ready: waiting for one");
+    const std::string error =
+        p.error_estimate > 0 ? fmt::format(", error about {:.4f}", p.error_estimate) : "";
+    bar.show(p.tiles_done, p.tiles_total, fmt::format("{} workers{}", p.workers, error));
+}
+
+LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
+    LoadedScene loaded = load_scene(options.scene);
+    for (const std::string& note : loaded.notes) bar.note(note);
+    if (!has_light(loaded.bundle.scene))
+        bar.note("no light in the scene: the picture will be black");
+    return loaded;
+}
+
+void run(const RenderOptions& options) {
+    Interrupt interrupt;
+    ProgressBar bar;
+    check_writable_format(options.output);
+    const auto load_start = Clock::now();
+    const LoadedScene loaded = load(options, bar);
+    const std::chrono::duration<double> load_time = Clock::now() - load_start;
+    const Camera camera = chosen_camera(options, loaded.bundle, bar);
+
+    std::optional<LocalCluster> cluster;
+    if (options.server.empty()) cluster.emplace(options.cluster);
+    RenderClient client({.address = cluster ? cluster->address() : options.server,
+                         .token = cluster ? cluster->token() : token_from_environment(),
+                         .tick = [&] {
+                             interrupt.check();
+                             if (cluster) cluster->check_alive();
+                         }});
+    const std::string name = std::filesystem::path(options.scene).filename().string();
+    client.upload_scene(name, loaded.bundle);
+    const FrameRequest request = request_of(options, name, camera);
+    const RenderedFrame frame =
+        client.render(request, [&](const FrameProgress& p) { show_progress(bar, p); });
+    write_pictures(options, request, frame);
+    if (!options.stats.empty())
+        write_statistics(options.stats, load_time.count(), frame.statistics);
+    const FrameStatistics& s = frame.statistics;
+    if (s.sanitised > 0)
+        bar.note(fmt::format("{} values were not finite and were set to zero", s.sanitised));
+    bar.note(fmt::format(
+        "{}: {} passes in {:.2f} s ({:.1f} Mrays/s), built in {:.2f} s, loaded in {:.2f} s",
+        options.output, s.passes, s.render_seconds,
+        1e-6 * double(s.rays) / std::max(1e-9, s.render_seconds), s.build_seconds,
+        load_time.count()));
+}
+
+void add_camera_options(CLI::App* command, RenderOptions& o) {
+    command->add_option_function<std::string>(
+        "--size", [&o](const std::string& text) { o.size = parse_size(text); },
+        "WxH in pixels (default 640x480)");
+    command->add_option("--eye", o.eye, "x,y,z of the eye")->delimiter(',')->expected(3);
+    command->add_option("--at", o.at, "x,y,z of the point looked at")->delimiter(',')->expected(3);
+    command->add_option("--up", o.up, "x,y,z upwards")->delimiter(',')->expected(3);
+    command->add_option("--fov", o.fov, "vertical field of view in degrees")
+        ->check(CLI::Range(0.01, 179.0));
+    command->add_option("--camera", o.camera,
+                        "a camera of the scene, by name (default: its first)");
+}
+
+void add_quality_options(CLI::App* command, RenderOptions& o) {
+    const std::map<std::string, Integrator> integrators = {{"igi", Integrator::igi},
+                                                           {"path", Integrator::path}};
+    const std::map<std::string, TracerKind> tracers = {{"kdtree", TracerKind::kdtree},
+                                                       {"embree", TracerKind::embree}};
+    const std::map<std::string, FilterPlace> filters = {
+        {"auto", FilterPlace::server}, {"server", FilterPlace::server}, {"off", FilterPlace::off}};
+    command->add_option("--integrator", o.integrator, "igi (interactive) or path (the reference)")
+        ->transform(CLI::CheckedTransformer(integrators));
+    command
+        ->add_option("--vpls", o.vpls,
+                     "igi: virtual point lights per pixel, shared by its eye rays")
+        ->check(CLI::Range(1, 4096))
+        ->capture_default_str();
+    command->add_option("--interleave", o.settings.interleave, "igi: n, for n x n interleaved sets")
+        ->check(CLI::IsMember({1, 3, 5, 7, 9}))
+        ->capture_default_str();
+    command->add_option("--bounces", o.settings.bounces, "indirect bounces at most")
+        ->check(CLI::Range(0, 1000))
+        ->capture_default_str();
+    command->add_option("--aa", o.antialiasing, "eye rays per pixel and pass (igi 4, path 1)")
+        ->check(CLI::Range(1, 64));
+    command->add_option("--passes", o.passes, "passes whose mean is the picture (igi 1, path 64)")
+        ->check(CLI::Range(1u, passes_without_end));
+    command->add_option("--time", o.time_limit, "stop after that many seconds of rendering")
+        ->check(CLI::PositiveNumber);
+    command->add_option("--error", o.error_limit, "stop at that estimate of the error")
+        ->check(CLI::PositiveNumber);
+    command->add_option("--seed", o.settings.seed, "another seed, another noise");
+    command->add_option("--tracer", o.tracer, "kdtree or embree")
+        ->transform(CLI::CheckedTransformer(tracers));
+    command
+        ->add_option("--filter", o.filter,
+                     "igi: where the discontinuity filter runs: auto, server, off")
+        ->transform(CLI::CheckedTransformer(filters));
+}
+
+void add_output_options(CLI::App* command, RenderOptions& o) {
+    const std::map<std::string, ToneCurve> curves = {{"srgb", ToneCurve::srgb},
+                                                     {"filmic", ToneCurve::filmic}};
+    command
+        ->add_option("-o,--output", o.output,
+                     "picture to write: linear .exr or .hdr, tone-mapped .png, .jpg ...")
+        ->required();
+    command->add_option("--exposure", o.tone_map.exposure, "stops, for 8-bit pictures")
+        ->check(CLI::Range(-32.0, 32.0));
+    command->add_option("--tone", o.tone_map.curve, "tone curve of 8-bit pictures: srgb or filmic")
+        ->transform(CLI::CheckedTransformer(curves));
+    command
+        ->add_option("--aov", o.aov,
+                     "more channels, each to OUTPUT.CHANNEL.exr: albedo, normal, depth, "
+                     "irradiance, direct, indirect")
+        ->delimiter(',')
+        ->transform(CLI::CheckedTransformer(aov_names));
+    command->add_option("--stats", o.stats, "statistics to write as JSON");
+}
+
+void add_cluster_options(CLI::App* command, RenderOptions& o) {
+    auto* server = command->add_option("--server", o.server,
+                                       "render on HOST:PORT instead of this machine alone");
+    command->add_option("--workers", o.cluster.workers, "worker processes of the embedded cluster")
+        ->check(CLI::Range(1, 64))
+        ->capture_default_str()
+        ->excludes(server);
+    command
+        ->add_option("--threads", o.cluster.threads,
+                     "render threads per embedded worker (default: all cores, shared out)")
+        ->check(CLI::Range(1, 1024))
+        ->excludes(server);
+}
+
+}  // namespace
+
+void add_render_command(CLI::App& app) {
+    auto options = std::make_shared<RenderOptions>();
+    CLI::App* command = app.add_subcommand("render", "Render a picture of a scene to a file");
+    command
+        ->add_option("SCENE", options->scene,
+                     "a .gltf, .glb, .obj or .ply file, or the name of a generated scene")
+        ->required();
+    add_output_options(command, *options);
+    add_camera_options(command, *options);
+    add_quality_options(command, *options);
+    add_cluster_options(command, *options);
+    command->callback([options] { run(*options); });
+}
+
+}  // namespace tessera

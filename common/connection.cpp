@@ -1,0 +1,231 @@
+#include "common/connection.h"
+
+#include <fmt/format.h>
+#include <netinet/tcp.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <utility>
+
+#include "common/check.h"
+
+namespace tessera {
+namespace {
+
+using boost::system::error_code;
+using Clock = std::chrono::steady_clock;
+
+/// Small messages share one system call up to this size; a large one goes alone.
+constexpr std::size_t batch_bytes = 64u << 10;
+/// Time for the last words of a session, counted from the peer's last sign of reading.
+constexpr auto closing_deadline = std::chrono::seconds(2);
+
+/// Notices after 10 + 3 * 5 seconds that a peer's machine is gone.
+void keep_alive(tcp::socket& socket) {
+    const auto set = [&](int level, int option, int value) {
+        ::setsockopt(socket.native_handle(), level, option, &value, sizeof value);
+    };
+    set(SOL_SOCKET, SO_KEEPALIVE, 1);
+    set(IPPROTO_TCP, TCP_KEEPIDLE, 10);
+    set(IPPROTO_TCP, TCP_KEEPINTVL, 5);
+    set(IPPROTO_TCP, TCP_KEEPCNT, 3);
+}
+
+std::string describe(const Address& address) {
+    const bool is_ipv6 = address.host.find(':') != std::string::npos;
+    return fmt::format(fmt::runtime(is_ipv6 ? "[{}]:{}" : "{}:{}"), address.host, address.port);
+}
+
+std::string describe_peer(const tcp::socket& socket) {
+    error_code error;
+    const auto endpoint = socket.remote_endpoint(error);
+    if (error) return "a peer already gone";
+    return describe({endpoint.address().to_string(), std::to_string(endpoint.port())});
+}
+
+}  // namespace
+
+Connection::Connection(tcp::socket socket, const ConnectionConfig& config)
+    : socket_(std::move(socket)),
+      config_(config),
+      remote_address_(describe_peer(socket_)),
+      read_timer_(socket_.get_executor()),
+      write_timer_(socket_.get_executor()),
+      drained_(socket_.get_executor(), Clock::time_point::max()) {
+    // Either fails only when the peer is gone already, which the first read tells.
+    error_code ignored;
+    socket_.set_option(tcp::no_delay(true), ignored);
+    keep_alive(socket_);
+}
+
+asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> silence,
+                                             FrameLimits limits) {
+    const auto self = shared_from_this();
+    try {
+        std::array<std::byte, frame_header_bytes> head;
+        co_await read_exactly(asio::buffer(head), silence);
+        const FrameHeader header = decode_header(head, limits);
+        const std::size_t size = std::size_t(header.message_bytes) + header.payload_bytes;
+        // Not initialised: memory that a peer announces costs nothing until the peer fills it.
+        const auto body = std::make_shared_for_overwrite<std::byte[]>(size);
+        co_await read_exactly(asio::buffer(body.get(), size), silence);
+        const std::span<const std::byte> bytes(body.get(), size);
+        co_return decode(header, bytes.first(header.message_bytes),
+                         {body, bytes.subspan(header.message_bytes)});
+    } catch (...) {
+        close();
+        if (!complaint_.empty()) throw ProtocolError(complaint_);
+        throw;
+    }
+}
+
+asio::awaitable<void> Connection::read_exactly(asio::mutable_buffer into,
+                                               std::optional<Clock::duration> silence) {
+    // Asked before every piece, so the timer starts anew with each that arrives.
+    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
+        if (silence) arm(read_timer_, *silence, "is silent for too long");
+        return error ? 0 : into.size();
+    };
+    co_await asio::async_read(socket_, into, next_piece, asio::use_awaitable);
+    read_timer_.expires_at(Clock::time_point::max());
+}
+
+void Connection::send(Message message) { enqueue(control_, std::move(message)); }
+
+void Connection::send_bulk(Message message) { enqueue(bulk_, std::move(message)); }
+
+void Connection::enqueue(Lane& lane, Message message) {
+    if (!open()) return;
+    if (queued_bytes_ > config_.max_queued_bytes)
+        return close_for(
+            fmt::format("reads too slowly: {} MB wait to be sent", queued_bytes_ >> 20));
+    lane.push_back(encode(std::move(message)));
+    queued_bytes_ += lane.back().size();
+    if (std::exchange(writing_, true)) return;
+    asio::co_spawn(
+        socket_.get_executor(), [self = shared_from_this()] { return self->write_all(); },
+        asio::detached);
+}
+
+std::vector<EncodedMessage> Connection::take_batch() {
+    Lane& lane = control_.empty() ? bulk_ : control_;
+    std::vector<EncodedMessage> batch;
+    for (std::size_t bytes = 0; !lane.empty() && bytes < batch_bytes; lane.pop_front()) {
+        bytes += lane.front().size();
+        batch.push_back(std::move(lane.front()));
+    }
+    return batch;
+}
+
+asio::awaitable<void> Connection::write_all() {
+    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
+        arm(write_timer_, config_.write_deadline, "does not read");
+        return error ? 0 : chunk_bytes;
+    };
+    while (queued_bytes_ > 0) {
+        const std::vector<EncodedMessage> batch = take_batch();
+        std::vector<asio::const_buffer> buffers;
+        for (const EncodedMessage& message : batch) {
+            buffers.push_back(asio::buffer(message.head));
+            buffers.emplace_back(message.payload.bytes.data(), message.payload.bytes.size());
+        }
+        error_code error;
+        co_await asio::async_write(socket_, buffers, next_piece,
+                                   asio::redirect_error(asio::use_awaitable, error));
+        if (error) close();
+        if (!open()) break;
+        queued_bytes_ -= asio::buffer_size(buffers);
+        drained_.cancel();
+    }
+    write_timer_.expires_at(Clock::time_point::max());
+    writing_ = false;
+}
+
+asio::awaitable<void> Connection::progress() {
+    error_code cancelled;
+    co_await drained_.async_wait(asio::redirect_error(asio::use_awaitable, cancelled));
+}
+
+asio::awaitable<void> Connection::wait_until_drained(std::size_t bytes) {
+    const auto self = shared_from_this();
+    while (queued_bytes_ > bytes) co_await progress();
+    if (!open()) throw boost::system::system_error(asio::error::operation_aborted);
+}
+
+asio::awaitable<void> Connection::close_when_sent() {
+    const auto self = shared_from_this();
+    config_.write_deadline = closing_deadline;
+    if (writing_) arm(write_timer_, closing_deadline, "does not read");
+    while (queued_bytes_ > 0) co_await progress();
+    close();
+}
+
+void Connection::close() {
+    error_code ignored;
+    socket_.close(ignored);
+    control_.clear();
+    bulk_.clear();
+    queued_bytes_ = 0;
+    for (asio::steady_timer* timer : {&read_timer_, &write_timer_, &drained_}) timer->cancel();
+}
+
+void Connection::close_for(const std::string& complaint) {
+    if (!open()) return;
+    complaint_ = complaint;
+    close();
+}
+
+void Connection::arm(asio::steady_timer& timer, Clock::duration time, const char* complaint) {
+    timer.expires_after(time);
+    timer.async_wait([weak = weak_from_this(), &timer, complaint](const error_code& error) {
+        const auto self = weak.lock();
+        // A wait that ended just before it was cancelled still comes here: the expiry tells.
+        if (!error && self && timer.expiry() <= Clock::now()) self->close_for(complaint);
+    });
+}
+
+Address parse_address(const std::string& text) {
+    const std::size_t colon = text.rfind(':');
+    const auto fail = [&](const char* problem) {
+        return UserError(fmt::format("address '{}': {}; write HOST:PORT", text, problem));
+    };
+    if (colon == std::string::npos) throw fail("no port");
+    Address address(text.substr(0, colon), text.substr(colon + 1));
+    if (address.host.starts_with('[') && address.host.ends_with(']'))
+        address.host = address.host.substr(1, address.host.size() - 2);
+    else if (address.host.find(':') != std::string::npos)
+        throw fail("an IPv6 address goes in [brackets]");
+    if (address.host.empty()) throw fail("no host");
+    const auto is_digit = [](char c) { return c >= '0' && c <= '9'; };
+    if (address.port.empty() || address.port.size() > 5 ||
+        !std::all_of(address.port.begin(), address.port.end(), is_digit) ||
+        std::stoi(address.port) > 65535)
+        throw fail("the port is no number from 0 to 65535");
+    return address;
+}
+
+asio::awaitable<std::shared_ptr<Connection>> connect(Address address, Clock::duration timeout) {
+    const auto executor = co_await asio::this_coro::executor;
+    const auto fail = [&](const std::string& reason) {
+        return UserError(fmt::format("cannot reach {}: {}; is tessera-server running there?",
+                                     describe(address), reason));
+    };
+    error_code error;
+    tcp::resolver resolver(executor);
+    const auto endpoints = co_await resolver.async_resolve(
+        address.host, address.port, asio::redirect_error(asio::use_awaitable, error));
+    if (error) throw fail(error.message());
+    // Shared with the timer, which may fire when this coroutine is over.
+    const auto socket = std::make_shared<tcp::socket>(executor);
+    asio::steady_timer timer(executor, timeout);
+    timer.async_wait([socket](const error_code& cancelled) {
+        if (!cancelled) socket->close();
+    });
+    co_await asio::async_connect(*socket, endpoints,
+                                 asio::redirect_error(asio::use_awaitable, error));
+    if (error == asio::error::operation_aborted) throw fail("no answer");
+    if (error) throw fail(error.message());
+    co_return std::make_shared<Connection>(std::move(*socket));
+}
+
+}  // namespace tessera

@@ -1,0 +1,11 @@
+// The life of a process among its relatives.
+#pragma once
+
+namespace tessera {
+
+/// Kills this process (SIGKILL) when its parent ends, however that happens. To be called early in
+/// main. The kernel takes the death of the *thread* that started this process
+/// for the parent's: a program that starts such children does so from a thread that outlives them.
+void end_with_parent();
+
+}  // namespace tessera

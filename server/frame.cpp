@@ -1,0 +1,230 @@
+#include "server/frame.h"
+
+#include <cmath>
+
+#include "common/check.h"
+#include "common/discontinuity.h"
+#include "server/runs.h"
+
+namespace tessera {
+namespace {
+
+/// Memory for runs in flight of one frame.
+constexpr std::size_t window_bytes = std::size_t(256) << 20;
+/// More runs in flight than this only help pictures of a few tiles.
+constexpr std::size_t most_runs_in_flight = 32;
+
+/// Where channel `c` begins in planar data of `pixels` pixels.
+std::size_t channel_offset(ChannelSet set, Channel c, std::size_t pixels) {
+    const ChannelSet before{set.bits & ((1u << unsigned(c)) - 1)};
+    return std::size_t(floats_per_pixel(before)) * pixels;
+}
+
+std::span<const float> channel_of(const FrameSpec& spec, const RunBuffer& run, Channel c) {
+    const std::size_t pixels = spec.size.pixels();
+    return std::span(run.data).subspan(channel_offset(tile_channels(spec), c, pixels),
+                                       std::size_t(floats_per_pixel(c)) * pixels);
+}
+
+bool of_first_pass(Channel c) {
+    return c == Channel::normal || c == Channel::depth || c == Channel::surface;
+}
+
+/// Zero in place of what is not finite.
+float finite_or_zero(float v) { return v * 0 == 0 ? v : 0; }
+
+std::vector<Channel> channels_in(ChannelSet set) {
+    std::vector<Channel> out;
+    for (int c = 0; c < channel_count; ++c)
+        if (set.has(Channel(c))) out.push_back(Channel(c));
+    return out;
+}
+
+Image scaled_image(ImageSize size, int channels, std::span<const float> values, float scale) {
+    Image image(size, channels);
+    for (std::size_t i = 0; i < values.size(); ++i) image.data[i] = values[i] * scale;
+    return image;
+}
+
+}  // namespace
+
+FrameSums::FrameSums(const FrameSpec& spec)
+    : spec_(spec),
+      sum_(3 * spec.size.pixels()),
+      mean_(3 * spec.size.pixels()),
+      squares_(3 * spec.size.pixels()),
+      row_squares_(std::size_t(spec.size.height)) {
+    for (Channel c : channels_in(spec.extra))
+        extra_[c].resize(std::size_t(floats_per_pixel(c)) * spec.size.pixels());
+    if (spec.settings.integrator == Integrator::igi) filtered_.resize(sum_.size());
+}
+
+/// The irradiance to use in these rows, of the whole picture.
+std::span<const float> FrameSums::irradiance_rows(const RunBuffer& run, int y0, int y1) {
+    const std::span<const float> irradiance = channel_of(spec_, run, Channel::irradiance);
+    if (spec_.settings.filter == FilterPlace::off) return irradiance;
+    filter_irradiance(
+        {.picture = spec_.size, .camera = spec_.camera, .window = int(spec_.settings.interleave)},
+        {.area = {0, 0, spec_.size.width, spec_.size.height},
+         .irradiance = irradiance,
+         .normal = channel_of(spec_, run, Channel::normal),
+         .depth = channel_of(spec_, run, Channel::depth),
+         .surface = channel_of(spec_, run, Channel::surface)},
+        {0, y0, spec_.size.width, y1}, filtered_);
+    return filtered_;
+}
+
+void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
+    const bool igi = spec_.settings.integrator == Integrator::igi;
+    const std::span<const float> radiance = channel_of(spec_, run, Channel::radiance);
+    const std::span<const float> albedo =
+        igi ? channel_of(spec_, run, Channel::albedo) : std::span<const float>();
+    const std::span<const float> irradiance =
+        igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
+
+    // Add the radiance of each row, and update mean and squared deviations of the runs' means.
+    const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
+    const float per_pass = 1 / float(run.passes);
+    const float per_run = 1 / float(runs_ + 1);
+    for (int y = y0; y < y1; ++y) {
+        const std::size_t begin = std::size_t(y) * row_floats;
+        for (std::size_t i = begin; i < begin + row_floats; ++i) {
+            const float lit =
+                igi ? radiance[i] + albedo[i] * (1 / pi) * irradiance[i] : radiance[i];
+            const float value = finite_or_zero(lit);
+            sum_[i] += value;
+            const float deviation = value * per_pass - mean_[i];
+            mean_[i] += deviation * per_run;
+            squares_[i] += deviation * (value * per_pass - mean_[i]);
+        }
+        double squares = 0;
+        for (std::size_t i = begin; i < begin + row_floats; ++i) squares += squares_[i];
+        row_squares_[std::size_t(y)] = squares;
+    }
+
+    // Add the channels asked for beside the picture.
+    for (auto& [channel, sums] : extra_) {
+        if (of_first_pass(channel) && runs_ > 0) continue;
+        const std::span<const float> values =
+            channel == Channel::irradiance && igi ? irradiance : channel_of(spec_, run, channel);
+        const std::size_t row =
+            std::size_t(floats_per_pixel(channel)) * std::size_t(spec_.size.width);
+        if (of_first_pass(channel))
+            std::copy_n(&values[std::size_t(y0) * row], std::size_t(y1 - y0) * row,
+                        &sums[std::size_t(y0) * row]);
+        else
+            for (std::size_t i = std::size_t(y0) * row; i < std::size_t(y1) * row; ++i)
+                sums[i] += finite_or_zero(values[i]);
+    }
+}
+
+void FrameSums::finish_run(const RunBuffer& run) {
+    ++runs_;
+    passes_ += run.passes;
+}
+
+double FrameSums::error_estimate() const {
+    if (runs_ < 2) return 0;
+    double squares = 0;
+    for (double row : row_squares_) squares += row;
+    return std::sqrt(squares / (double(runs_ - 1) * double(runs_) * double(sum_.size())));
+}
+
+Image FrameSums::picture() const {
+    return scaled_image(spec_.size, 3, sum_, 1 / float(std::max(passes_, 1u)));
+}
+
+Image FrameSums::channel(Channel c) const {
+    CHECK(extra_.contains(c));
+    const float scale = 1 / float(std::max(passes_, 1u));
+    Image image = scaled_image(spec_.size, floats_per_pixel(c), extra_.at(c), scale);
+    if (of_first_pass(c)) image.data = extra_.at(c);  // surface is bits, not a number
+    return image;
+}
+
+FrameAssembler::FrameAssembler(const FrameSpec& spec)
+    : spec_(spec), channels_(tile_channels(spec)), runs_(run_count(spec.settings)) {
+    const std::size_t run_bytes =
+        spec.size.pixels() * std::size_t(floats_per_pixel(channels_)) * sizeof(float);
+    window_ = std::uint32_t(std::clamp(window_bytes / std::max<std::size_t>(run_bytes, 1),
+                                       std::size_t(2), most_runs_in_flight));
+}
+
+std::uint32_t FrameAssembler::run_limit() const { return std::min(folded_ + window_, runs_); }
+
+bool FrameAssembler::fits(const TileResult& result) const {
+    if (!run_of(spec_, result.task)) return false;
+    const Rect rect = tile_rect(spec_.size, result.task.tile);
+    return result.data.size() == rect.pixels() * std::size_t(floats_per_pixel(channels_));
+}
+
+Arrival FrameAssembler::add(const TileResult& result) {
+    if (!fits(result)) return Arrival::broken;
+    const std::uint32_t run = *run_of(spec_, result.task);
+    if (run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
+    if (run >= run_limit()) return Arrival::not_wanted;
+
+    RunBuffer& buffer = buffer_of(run);
+    if (buffer.tile_here[result.task.tile]) return Arrival::duplicate;
+    copy_tile(result, buffer.data);
+    buffer.tile_here[result.task.tile] = true;
+    --buffer.tiles_missing;
+    ++tasks_done_;
+    return Arrival::stored;
+}
+
+RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
+    if (const auto found = open_.find(run); found != open_.end()) return found->second;
+    RunBuffer buffer;
+    if (!pool_.empty()) {
+        buffer = std::move(pool_.back());
+        pool_.pop_back();
+    }
+    buffer.run = run;
+    buffer.passes = passes_of_run(spec_.settings, run);
+    buffer.tiles_missing = tile_count(spec_.size);
+    buffer.tile_here.assign(tile_count(spec_.size), false);
+    buffer.data.resize(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
+    return open_.emplace(run, std::move(buffer)).first->second;
+}
+
+void FrameAssembler::copy_tile(const TileResult& result, std::vector<float>& into) const {
+    const Rect rect = tile_rect(spec_.size, result.task.tile);
+    const float* from = result.data.data();
+    for (Channel c : channels_in(channels_)) {
+        const std::size_t floats = std::size_t(floats_per_pixel(c));
+        const std::size_t row = floats * std::size_t(rect.width());
+        float* plane = into.data() + channel_offset(channels_, c, spec_.size.pixels());
+        for (int y = rect.y0; y < rect.y1; ++y, from += row)
+            std::copy_n(from, row,
+                        plane + floats * (std::size_t(y) * std::size_t(spec_.size.width) +
+                                          std::size_t(rect.x0)));
+    }
+}
+
+std::optional<RunBuffer> FrameAssembler::take_complete() {
+    const auto next = open_.find(folded_);
+    if (folding_ || next == open_.end() || next->second.tiles_missing > 0) return std::nullopt;
+    folding_ = true;
+    RunBuffer run = std::move(next->second);
+    open_.erase(next);
+    return run;
+}
+
+void FrameAssembler::run_folded(RunBuffer run) {
+    CHECK(folding_ && run.run == folded_);
+    folding_ = false;
+    ++folded_;
+    if (folded_ + pool_.size() < runs_) pool_.push_back(std::move(run));
+}
+
+void FrameAssembler::limit_passes(std::uint32_t passes) {
+    const std::uint32_t per_run = passes_per_task(spec_.settings);
+    const std::uint32_t wanted = passes / per_run + (passes % per_run != 0);
+    const std::uint32_t begun = std::max(folded_ + (folding_ ? 1 : 0), 1u);
+    runs_ = std::min(std::max(wanted, begun), runs_);
+    for (auto run = open_.lower_bound(runs_); run != open_.end(); run = open_.erase(run))
+        tasks_done_ -= tile_count(spec_.size) - run->second.tiles_missing;
+}
+
+}  // namespace tessera

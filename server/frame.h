@@ -1,0 +1,115 @@
+// A frame becomes a picture: tiles are collected into runs of passes, complete runs are filtered
+// and folded into running sums. Tiles come out of order and from different frames (Wald 2004,
+// 8.4.2); folding is strictly in the order of passes, so the sums are the same bits always.
+//
+// Where we differ from the thesis: one copy instead of two, and the heavy part, the fold, is split
+// off so that it runs on other threads than the one that owns the frame.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "common/image.h"
+#include "common/tile.h"
+
+namespace tessera {
+
+/// The channels of one run of passes over the whole picture, each planar by channel.
+struct RunBuffer {
+    std::uint32_t run = 0;
+    std::uint32_t passes = 0;
+    std::uint32_t tiles_missing = 0;
+    std::vector<bool> tile_here;
+    std::vector<float> data;
+};
+
+/// What a frame adds up to so far.
+class FrameSums {
+public:
+    explicit FrameSums(const FrameSpec& spec);
+
+    /// Filters and adds rows y0 <= y < y1 of a complete run. Bands of rows may be folded at the
+    /// same time by different threads; all bands of a run, then finish_run, then the next run.
+    void fold(const RunBuffer& run, int y0, int y1);
+    void finish_run(const RunBuffer& run);
+
+    std::uint32_t runs() const { return runs_; }
+    std::uint32_t passes() const { return passes_; }
+    /// Standard error of the mean, estimated from how much the runs differ: RMS over pixels and
+    /// colour channels, in units of radiance. 0 when there are fewer than two runs.
+    double error_estimate() const;
+    /// The mean of the passes folded so far; black when there are none.
+    Image picture() const;
+    /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth
+    /// and surface as they are in the first pass.
+    Image channel(Channel c) const;
+
+private:
+    std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
+
+    FrameSpec spec_;
+    std::uint32_t runs_ = 0;
+    std::uint32_t passes_ = 0;
+    std::vector<float> sum_;
+    std::vector<float> mean_;          ///< of the runs' means; runs count the same
+    std::vector<float> squares_;       ///< squared deviations from it (Welford 1962)
+    std::vector<double> row_squares_;  ///< squares_ added up per row
+    std::vector<float> filtered_;      ///< irradiance of the run being folded
+    std::map<Channel, std::vector<float>> extra_;
+};
+
+/// What add() did with a result.
+enum class Arrival : std::uint8_t {
+    stored,
+    duplicate,   ///< its pixels are there already
+    not_wanted,  ///< of a pass beyond the limit, or not yet to be handed out
+    broken,      ///< no task of this frame, or the wrong amount of data: the worker's fault
+};
+
+class FrameAssembler {
+public:
+    explicit FrameAssembler(const FrameSpec& spec);
+
+    /// Whether the result is one of this frame's tasks with the right amount of data.
+    bool fits(const TileResult& result) const;
+    Arrival add(const TileResult& result);
+
+    /// The next run in order once it is complete; to be folded, then handed back to run_folded.
+    /// One at a time: nothing while a run is out.
+    std::optional<RunBuffer> take_complete();
+    void run_folded(RunBuffer run);
+
+    /// Ends the frame after `passes` passes, rounded up to whole runs: at least one, and those that
+    /// are folded or being folded already.
+    void limit_passes(std::uint32_t passes);
+
+    std::uint32_t runs() const { return runs_; }
+    /// Every run has been folded.
+    bool finished() const { return !folding_ && folded_ == runs_; }
+    /// Runs before this one may be handed out. Bounds the buffers: at most window() runs are in
+    /// flight or waiting to be folded, about 256 MiB or two runs of a large picture.
+    std::uint32_t run_limit() const;
+    std::uint32_t window() const { return window_; }
+
+    std::uint64_t tasks_done() const { return tasks_done_; }
+    std::uint64_t tasks_total() const { return std::uint64_t(runs_) * tile_count(spec_.size); }
+
+private:
+    RunBuffer& buffer_of(std::uint32_t run);
+    void copy_tile(const TileResult& result, std::vector<float>& into) const;
+
+    FrameSpec spec_;
+    ChannelSet channels_;
+    std::uint32_t runs_;
+    std::uint32_t window_;
+    std::uint32_t folded_ = 0;
+    bool folding_ = false;
+    std::uint64_t tasks_done_ = 0;
+    std::map<std::uint32_t, RunBuffer> open_;  ///< runs in flight or complete, not yet taken
+    std::vector<RunBuffer> pool_;              ///< buffers to use again
+};
+
+}  // namespace tessera

@@ -1,0 +1,78 @@
+// tessera-server: the master of a cluster.
+
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+
+#include "common/check.h"
+#include "common/log.h"
+#include "common/process.h"
+#include "common/scene_io.h"
+#include "server/server.h"
+
+namespace tessera {
+namespace {
+
+struct Options {
+    std::vector<std::string> scenes;
+    ServerConfig config;
+    std::string log_level = "info";
+    bool exit_with_parent = false;
+};
+
+void load(Server& server, const std::string& file_or_name) {
+    const LoadedScene loaded = load_scene(file_or_name);
+    const std::string name = std::filesystem::path(file_or_name).filename().string();
+    for (const std::string& note : loaded.notes) spdlog::info("{}: {}", name, note);
+    server.add_scene(name, loaded.bundle);
+}
+
+void run(const Options& options) {
+    asio::io_context io(1);
+    Server server(io, options.config);
+    for (const std::string& scene : options.scenes) load(server, scene);
+
+    asio::signal_set signals(io, SIGINT, SIGTERM);
+    signals.async_wait([&](const boost::system::error_code&, int) { server.stop(); });
+    server.start();
+    // The one line on standard output: scripts read it to learn the port.
+    fmt::print("listening on {}\n", server.address());
+    std::fflush(stdout);
+    io.run();
+}
+
+}  // namespace
+}  // namespace tessera
+
+int main(int argc, char** argv) {
+    using namespace tessera;
+    Options options;
+    CLI::App app(
+        "Tessera's server: owns scenes and frames, spreads the work over workers.\n"
+        "Peers prove themselves with the token in the environment variable TESSERA_TOKEN.");
+    app.add_option("scenes", options.scenes, "scene files, or names of generated scenes, to hold");
+    app.add_option("--listen", options.config.listen, "address to listen on; port 0: any free one")
+        ->type_name("HOST:PORT")
+        ->capture_default_str();
+    app.add_option("--log", options.log_level, "how much to log")
+        ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
+        ->capture_default_str();
+    app.add_flag("--exit-with-parent", options.exit_with_parent,
+                 "end when the process that started this one ends");
+    CLI11_PARSE(app, argc, argv);
+    if (options.exit_with_parent) end_with_parent();
+    if (const char* token = std::getenv("TESSERA_TOKEN")) options.config.token = token;
+    try {
+        start_log("server", options.log_level);
+        run(options);
+    } catch (const UserError& error) {
+        fmt::print(stderr, "tessera-server: {}\n", error.what());
+        return 1;
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "tessera-server: {}\n", error.what());
+        return 1;
+    }
+}

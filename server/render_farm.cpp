@@ -1,0 +1,355 @@
+#include "server/render_farm.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <atomic>
+
+#include "common/check.h"
+#include "common/log.h"
+
+namespace tessera {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// Viewers hear of progress no more often.
+constexpr auto report_interval = std::chrono::milliseconds(100);
+/// Below this many runs the error estimate is too rough to stop by.
+constexpr std::uint32_t least_runs_for_error = 4;
+/// Rows that are worth a thread of their own when a run is folded.
+constexpr int least_band_rows = 64;
+
+double seconds_between(Clock::time_point from, Clock::time_point to) {
+    return std::chrono::duration<double>(to - from).count();
+}
+
+}  // namespace
+
+/// One frame on its way.
+struct RenderFarm::Job {
+    FrameRequest request;
+    ReadyScene scene;
+    FrameObserver observer;
+    FrameAssembler assembler;
+    std::shared_ptr<FrameSums> sums;
+    asio::steady_timer report_timer;
+    std::optional<FrameProgress> reported;
+    std::optional<Clock::time_point> started;  ///< first tile handed out
+    double error_estimate = 0;                 ///< after the last run folded
+    std::uint64_t rays = 0;
+    std::uint64_t sanitised = 0;
+    std::map<std::uint64_t, WorkerShare> shares;
+
+    Job(const asio::any_io_executor& strand, const FrameRequest& r, const ReadyScene& s,
+        FrameObserver o)
+        : request(r),
+          scene(s),
+          observer(std::move(o)),
+          assembler(r.spec),
+          sums(std::make_shared<FrameSums>(r.spec)),
+          report_timer(strand) {}
+
+    std::uint64_t frame() const { return request.spec.frame; }
+};
+
+RenderFarm::RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads)
+    : strand_(strand), deadline_timer_(strand), fold_threads_(fold_threads), pool_(fold_threads) {}
+
+RenderFarm::~RenderFarm() {
+    pool_.stop();
+    pool_.join();
+}
+
+void RenderFarm::keep_ready(ScenePtr scene) {
+    kept_ready_.push_back(std::move(scene));
+    sync_scene(kept_ready_.back()->now.name);
+}
+
+void RenderFarm::drop_scene(const std::string& name) {
+    if (wanted_version(name)) {
+        doomed_.insert(name);
+        return;
+    }
+    doomed_.erase(name);
+    for (const auto& [id, worker] : workers_)
+        if (worker->drop(name)) scheduler_.scene_gone(id, name);
+}
+
+std::uint64_t RenderFarm::begin_frame(const FrameRequest& request, const ReadyScene& scene,
+                                      FrameObserver observer) {
+    FrameRequest numbered = request;
+    numbered.spec.frame = ++last_frame_;
+    numbered.spec.scene = scene.name;
+    numbered.spec.version = scene.scene->version;
+    auto job = std::make_unique<Job>(strand_, numbered, scene, std::move(observer));
+    Job& begun = *job;
+    jobs_[last_frame_] = std::move(job);
+    scheduler_.add_frame(numbered.spec, begun.assembler.run_limit());
+    sync_scene(scene.name);
+    report(begun);
+    schedule_report(begun);
+    // Later, so that the caller knows the number before it hears of the end.
+    asio::post(strand_, [this, name = scene.name] { fail_if_hopeless(name); });
+    pump();
+    return numbered.spec.frame;
+}
+
+void RenderFarm::cancel_frame(std::uint64_t frame) {
+    if (!jobs_.contains(frame)) return;
+    end_job(frame);
+    pump();
+}
+
+void RenderFarm::add_worker(std::shared_ptr<WorkerSession> worker) {
+    WorkerSession& added = *worker;
+    scheduler_.add_worker(added.id(), added.threads());
+    workers_[added.id()] = std::move(worker);
+    for (const ScenePtr& scene : kept_ready_) sync_worker(added, *wanted_version(scene->now.name));
+    for (const auto& [frame, job] : jobs_) sync_worker(added, *wanted_version(job->scene.name));
+}
+
+void RenderFarm::remove_worker(std::uint64_t worker) {
+    if (workers_.erase(worker) == 0) return;
+    scheduler_.remove_worker(worker);
+    std::vector<std::string> scenes;
+    for (const auto& [frame, job] : jobs_) scenes.push_back(job->scene.name);
+    for (const std::string& scene : scenes) fail_if_hopeless(scene);
+    pump();
+}
+
+void RenderFarm::scene_ready(WorkerSession& worker, const std::string& scene,
+                             std::uint64_t version) {
+    scheduler_.scene_ready(worker.id(), scene, version);
+    pump();
+}
+
+void RenderFarm::scene_failed(WorkerSession& worker, const std::string& scene) {
+    scheduler_.scene_gone(worker.id(), scene);
+    fail_if_hopeless(scene);
+    pump();
+}
+
+void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
+    const auto found = jobs_.find(result.task.frame);
+    if (found == jobs_.end()) return;  // cancelled while the worker was at it
+    Job& job = *found->second;
+    if (!job.assembler.fits(result))
+        throw ProtocolError(
+            fmt::format("answers with a tile that is none of frame {}", result.task.frame));
+    if (scheduler_.completed(worker.id(), result.task, Clock::now()) == Answer::first) {
+        CHECK(job.assembler.add(result) == Arrival::stored);
+        ++worker.tiles;
+        worker.rays += result.rays;
+        job.rays += result.rays;
+        job.sanitised += result.sanitised;
+        WorkerShare& share = job.shares[worker.id()];
+        share.name = worker.name();
+        share.threads = worker.threads();
+        ++share.tiles;
+        share.rays += result.rays;
+        fold_next(job);
+    }
+    pump();
+}
+
+void RenderFarm::stop() {
+    while (!jobs_.empty()) end_job(jobs_.begin()->first);
+    for (const auto& [id, worker] : workers_) worker->close();
+    deadline_timer_.cancel();
+}
+
+std::vector<WorkerStatus> RenderFarm::worker_status() const {
+    std::vector<WorkerStatus> out;
+    for (const auto& [id, worker] : workers_)
+        out.push_back({.peer = id,
+                       .name = worker->name(),
+                       .address = worker->address(),
+                       .threads = worker->threads(),
+                       .leases = scheduler_.leases(id),
+                       .tiles = worker->tiles,
+                       .rays = worker->rays,
+                       .round_trip_seconds = worker->round_trip_seconds()});
+    return out;
+}
+
+/// Hands out whatever can be handed out now.
+void RenderFarm::pump() {
+    const auto now = Clock::now();
+    for (const auto& [worker, task] : scheduler_.assign(now)) {
+        Job& job = *jobs_.at(task.frame);
+        if (!job.started) job.started = now;
+        workers_.at(worker)->hand_out(job.request.spec, task);
+    }
+    arm_timer();
+}
+
+void RenderFarm::arm_timer() {
+    const auto next = scheduler_.next_deadline();
+    if (!next) {
+        deadline_timer_.expires_at(Clock::time_point::max());
+    } else if (*next != deadline_timer_.expiry() || *next <= Clock::now()) {
+        deadline_timer_.expires_at(*next);
+        deadline_timer_.async_wait([this](const boost::system::error_code& cancelled) {
+            if (!cancelled) pump();
+        });
+    }
+}
+
+/// Workers hold one version of a scene at a time: the one of the oldest frame in flight, so that it
+/// is finished before they move on.
+const ReadyScene* RenderFarm::wanted_version(const std::string& name) const {
+    for (const auto& [frame, job] : jobs_)
+        if (job->scene.name == name) return &job->scene;
+    for (const ScenePtr& scene : kept_ready_)
+        if (scene->now.name == name) return &scene->now;
+    return nullptr;
+}
+
+void RenderFarm::sync_scene(const std::string& name) {
+    const ReadyScene* wanted = wanted_version(name);
+    if (!wanted) return;
+    for (const auto& [id, worker] : workers_) sync_worker(*worker, *wanted);
+}
+
+void RenderFarm::sync_worker(WorkerSession& worker, const ReadyScene& scene) {
+    if (worker.bring(scene)) scheduler_.scene_gone(worker.id(), scene.name);
+}
+
+/// Ends frames of a scene that no worker can build.
+void RenderFarm::fail_if_hopeless(const std::string& scene) {
+    const ReadyScene* wanted = wanted_version(scene);
+    if (!wanted || workers_.empty()) return;
+    std::string reason;
+    for (const auto& [id, worker] : workers_) {
+        const auto* state = worker->state_of(scene, wanted->scene->version);
+        if (!state || state->failure.empty()) return;
+        reason = fmt::format("worker {}: {}", worker->name(), state->failure);
+    }
+    const std::uint64_t version = wanted->scene->version;
+    std::vector<FrameObserver> observers;
+    for (auto job = jobs_.begin(); job != jobs_.end();) {
+        const std::uint64_t frame = job->first;
+        Job& j = *job++->second;
+        if (j.scene.name != scene || j.scene.scene->version != version) continue;
+        observers.push_back(std::move(j.observer));
+        end_job(frame);
+    }
+    for (const FrameObserver& observer : observers) observer.failed(reason);
+}
+
+/// Folds the next run if it is complete, in bands of rows on the pool.
+void RenderFarm::fold_next(Job& job) {
+    std::optional<RunBuffer> complete = job.assembler.take_complete();
+    if (!complete) return;
+    const auto run = std::make_shared<RunBuffer>(std::move(*complete));
+    const int height = job.request.spec.size.height;
+    const int bands = std::clamp(height / least_band_rows, 1, int(fold_threads_));
+    const auto left = std::make_shared<std::atomic<int>>(bands);
+    for (int band = 0; band < bands; ++band)
+        asio::post(pool_, [this, run, left, sums = job.sums, frame = job.frame(),
+                           y0 = height * band / bands, y1 = height * (band + 1) / bands] {
+            sums->fold(*run, y0, y1);
+            if (--*left == 0)
+                asio::post(strand_, [this, run, frame] { run_folded(frame, std::move(*run)); });
+        });
+}
+
+void RenderFarm::run_folded(std::uint64_t frame, RunBuffer run) {
+    const auto found = jobs_.find(frame);
+    if (found == jobs_.end()) return;
+    Job& job = *found->second;
+    job.sums->finish_run(run);
+    job.error_estimate = job.sums->error_estimate();
+    job.assembler.run_folded(std::move(run));
+    stop_at_limits(job);
+    scheduler_.allow_runs(frame, job.assembler.run_limit());
+    fold_next(job);
+    finish_if_complete(job);
+    pump();
+}
+
+/// Ends the passes when time or error allows.
+void RenderFarm::stop_at_limits(Job& job) {
+    const FrameRequest& request = job.request;
+    const bool in_time = request.time_limit <= 0 || !job.started ||
+                         seconds_between(*job.started, Clock::now()) < request.time_limit;
+    const bool too_rough = request.error_limit <= 0 || job.sums->runs() < least_runs_for_error ||
+                           job.error_estimate > request.error_limit;
+    if (in_time && too_rough) return;
+    job.assembler.limit_passes(1);
+    scheduler_.limit_runs(job.frame(), job.assembler.runs());
+}
+
+void RenderFarm::finish_if_complete(Job& job) {
+    if (!job.assembler.finished()) return;
+    FinishedFrame finished{job.request, job.sums, statistics(job)};
+    const FrameObserver observer = std::move(job.observer);
+    end_job(job.frame());
+    ++frames_done_;
+    observer.done(std::move(finished));
+}
+
+void RenderFarm::end_job(std::uint64_t frame) {
+    scheduler_.remove_frame(frame);
+    for (const auto& [id, worker] : workers_) worker->end_frame(frame);
+    const std::string scene = jobs_.at(frame)->scene.name;
+    jobs_.erase(frame);
+    sync_scene(scene);
+    if (doomed_.contains(scene)) drop_scene(scene);
+}
+
+void RenderFarm::report(Job& job) {
+    const FrameProgress progress{.request = job.request.request,
+                                 .tiles_done = job.assembler.tasks_done(),
+                                 .tiles_total = job.assembler.tasks_total(),
+                                 .passes_done = job.sums->passes(),
+                                 .workers = ready_workers(job),
+                                 .error_estimate = job.error_estimate};
+    if (job.reported == progress) return;
+    job.reported = progress;
+    job.observer.progress(progress);
+}
+
+void RenderFarm::schedule_report(Job& job) {
+    job.report_timer.expires_after(report_interval);
+    job.report_timer.async_wait(
+        [this, frame = job.frame()](const boost::system::error_code& cancelled) {
+            const auto found = jobs_.find(frame);
+            if (cancelled || found == jobs_.end()) return;
+            Job& reporting = *found->second;
+            report(reporting);
+            schedule_report(reporting);
+            stop_at_limits(reporting);
+            finish_if_complete(reporting);
+            pump();
+        });
+}
+
+std::uint32_t RenderFarm::ready_workers(const Job& job) const {
+    return std::uint32_t(std::count_if(workers_.begin(), workers_.end(), [&](const auto& entry) {
+        const auto* state = entry.second->state_of(job.scene.name, job.scene.scene->version);
+        return state && state->ready;
+    }));
+}
+
+FrameStatistics RenderFarm::statistics(const Job& job) const {
+    FrameStatistics out;
+    out.render_seconds = seconds_between(*job.started, Clock::now());
+    out.passes = job.sums->passes();
+    out.rays = job.rays;
+    out.sanitised = job.sanitised;
+    out.tiles_reissued = scheduler_.reissued(job.frame());
+    out.error_estimate = job.error_estimate;
+    for (const auto& [id, worker] : workers_) {
+        const auto* state = worker->state_of(job.scene.name, job.scene.scene->version);
+        if (!state || !state->ready) continue;
+        out.build_seconds = std::max(out.build_seconds, state->report.build_seconds);
+        out.modelled = state->report.modelled;
+        out.left_out = state->report.left_out;
+    }
+    for (const auto& [id, share] : job.shares) out.workers.push_back(share);
+    return out;
+}
+
+}  // namespace tessera

@@ -1,0 +1,101 @@
+// The workers as one: brings them scenes, spreads frames over them, adds up what comes back.
+// The shell around Scheduler and FrameAssembler; lives on the server's strand. Only folding leaves
+// the strand, for a small pool of threads.
+#pragma once
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "server/frame.h"
+#include "server/scene_store.h"
+#include "server/scheduler.h"
+#include "server/worker_session.h"
+
+namespace tessera {
+
+struct FinishedFrame {
+    FrameRequest request;
+    std::shared_ptr<const FrameSums> sums;
+    FrameStatistics statistics;
+};
+
+/// What the viewer's session wants to hear; called on the strand. After `done` or `failed` nothing
+/// more comes.
+struct FrameObserver {
+    std::function<void(const FrameProgress&)> progress;
+    std::function<void(FinishedFrame)> done;
+    std::function<void(const std::string& reason)> failed;
+};
+
+class RenderFarm {
+public:
+    /// Everything happens on `strand`; folding on `fold_threads` threads of its own.
+    RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads);
+    ~RenderFarm();
+
+    /// Workers get this scene as soon as they join.
+    void keep_ready(ScenePtr scene);
+    /// No new frames of the scene will come: workers drop it after those in flight.
+    void drop_scene(const std::string& name);
+
+    /// Returns the number of the frame. It waits for workers if there are none.
+    std::uint64_t begin_frame(const FrameRequest& request, const ReadyScene& scene,
+                              FrameObserver observer);
+    /// Nothing more is said about the frame. A frame that is over is no error.
+    void cancel_frame(std::uint64_t frame);
+
+    void add_worker(std::shared_ptr<WorkerSession> worker);
+    void remove_worker(std::uint64_t worker);
+    void scene_ready(WorkerSession& worker, const std::string& scene, std::uint64_t version);
+    void scene_failed(WorkerSession& worker, const std::string& scene);
+    /// Throws ProtocolError when the result does not fit its frame.
+    void tile_result(WorkerSession& worker, const TileResult& result);
+
+    /// Closes all workers' connections and forgets all frames.
+    void stop();
+
+    std::vector<WorkerStatus> worker_status() const;
+    std::uint32_t frames_in_flight() const { return std::uint32_t(jobs_.size()); }
+    std::uint64_t frames_done() const { return frames_done_; }
+    asio::any_io_executor strand() const { return strand_; }
+    /// For other work that is too heavy for the strand.
+    asio::any_io_executor pool() { return pool_.get_executor(); }
+
+private:
+    struct Job;
+
+    void pump();
+    void arm_timer();
+    void sync_scene(const std::string& name);
+    void sync_worker(WorkerSession& worker, const ReadyScene& scene);
+    const ReadyScene* wanted_version(const std::string& name) const;
+    void fail_if_hopeless(const std::string& scene);
+
+    void fold_next(Job& job);
+    void run_folded(std::uint64_t frame, RunBuffer run);
+    void stop_at_limits(Job& job);
+    void finish_if_complete(Job& job);
+    void end_job(std::uint64_t frame);
+    void report(Job& job);
+    void schedule_report(Job& job);
+    std::uint32_t ready_workers(const Job& job) const;
+    FrameStatistics statistics(const Job& job) const;
+
+    asio::any_io_executor strand_;
+    Scheduler scheduler_;
+    std::map<std::uint64_t, std::shared_ptr<WorkerSession>> workers_;
+    std::map<std::uint64_t, std::unique_ptr<Job>> jobs_;  ///< by frame number: oldest first
+    std::vector<ScenePtr> kept_ready_;
+    std::set<std::string> doomed_;  ///< to be dropped once no frame needs them
+    std::uint64_t last_frame_ = 0;
+    std::uint64_t frames_done_ = 0;
+    asio::steady_timer deadline_timer_;
+    unsigned fold_threads_;
+    asio::thread_pool pool_;
+};
+
+}  // namespace tessera

@@ -1,0 +1,191 @@
+#include "server/server.h"
+
+#include <fmt/format.h>
+
+#include <utility>
+
+#include "common/check.h"
+#include "common/log.h"
+
+namespace tessera {
+namespace {
+
+using boost::system::error_code;
+using Clock = std::chrono::steady_clock;
+
+/// Pause after a failed accept: file handles may be free again by then.
+constexpr auto accept_pause = std::chrono::milliseconds(100);
+
+std::string describe(const tcp::endpoint& endpoint) {
+    const bool is_ipv6 = endpoint.address().is_v6();
+    return fmt::format(fmt::runtime(is_ipv6 ? "[{}]:{}" : "{}:{}"), endpoint.address().to_string(),
+                       endpoint.port());
+}
+
+tcp::endpoint resolve(asio::io_context& io, const std::string& listen) {
+    const Address address = parse_address(listen);
+    error_code error;
+    const auto found =
+        tcp::resolver(io).resolve(address.host, address.port, tcp::resolver::passive, error);
+    if (error || found.empty())
+        throw UserError(fmt::format("--listen {}: {}; name an address of this machine", listen,
+                                    error.message()));
+    return found.begin()->endpoint();
+}
+
+/// Opens the port.
+void listen_on(tcp::acceptor& acceptor, const tcp::endpoint& endpoint) {
+    error_code error;
+    const auto check = [&](const char* advice) {
+        if (error)
+            throw UserError(
+                fmt::format("--listen {}: {}; {}", describe(endpoint), error.message(), advice));
+    };
+    acceptor.open(endpoint.protocol(), error);
+    check("choose another address");
+    acceptor.set_option(tcp::acceptor::reuse_address(true));
+    acceptor.bind(endpoint, error);
+    check("is a server running there already? Choose another port, or 0 for any free one");
+    acceptor.listen(asio::socket_base::max_listen_connections, error);
+    check("choose another port, or 0 for any free one");
+}
+
+/// Takes the same time wherever the tokens differ and however long they are.
+bool same_token(const std::string& a, const std::string& b) {
+    const auto digest = [](const std::string& s) {
+        return blob_id(std::as_bytes(std::span(s))).digest;
+    };
+    const auto da = digest(a), db = digest(b);
+    unsigned difference = 0;
+    for (std::size_t i = 0; i < da.size(); ++i) difference |= unsigned(da[i] ^ db[i]);
+    return difference == 0;
+}
+
+}  // namespace
+
+Server::Server(asio::io_context& io, const ServerConfig& config)
+    : config_(config),
+      io_(io),
+      acceptor_(io),
+      started_(Clock::now()),
+      farm_(io.get_executor(), config.fold_threads) {
+    const tcp::endpoint endpoint = resolve(io, config.listen);
+    if (config.token.empty() && !endpoint.address().is_loopback())
+        throw UserError(fmt::format(
+            "--listen {}: without a token everybody who reaches this address could use the server; "
+            "set TESSERA_TOKEN to a secret that workers and viewers share, or listen on 127.0.0.1",
+            config.listen));
+    listen_on(acceptor_, endpoint);
+}
+
+void Server::add_scene(const std::string& name, const SceneBundle& bundle) {
+    farm_.keep_ready(scenes_.load(name, bundle));
+}
+
+std::string Server::address() const { return describe(acceptor_.local_endpoint()); }
+
+void Server::start() { asio::co_spawn(io_, accept_peers(), asio::detached); }
+
+void Server::stop() {
+    error_code ignored;
+    acceptor_.close(ignored);
+    farm_.stop();
+    for (const auto& [id, connection] : connections_) connection->close();
+}
+
+asio::awaitable<void> Server::accept_peers() {
+    while (acceptor_.is_open()) {
+        error_code error;
+        tcp::socket socket =
+            co_await acceptor_.async_accept(asio::redirect_error(asio::use_awaitable, error));
+        if (!acceptor_.is_open()) break;
+        if (error) {
+            spdlog::error("cannot accept a connection: {}", error.message());
+            asio::steady_timer pause(io_, accept_pause);
+            co_await pause.async_wait(asio::use_awaitable);
+        } else if (strangers_ < config_.most_strangers) {
+            asio::co_spawn(io_, serve(std::move(socket)), asio::detached);
+        }
+    }
+}
+
+/// One peer from its first byte to its last.
+asio::awaitable<void> Server::serve(tcp::socket socket) {
+    const auto connection = std::make_shared<Connection>(std::move(socket));
+    const std::uint64_t peer = ++last_peer_;
+    connections_[peer] = connection;
+    ++strangers_;
+    std::optional<Hello> hello;
+    try {
+        hello = co_await handshake(connection);
+    } catch (const std::exception& error) {
+        spdlog::info("{} is not let in: {}", connection->remote_address(), error.what());
+    }
+    --strangers_;
+    if (hello) {
+        connection->send({Welcome{peer, TESSERA_VERSION, scenes_.loaded_names()}, {}});
+        if (hello->role == Role::worker) {
+            co_await std::make_shared<WorkerSession>(peer, *hello, connection, farm_.strand())
+                ->run(farm_);
+        } else {
+            ++viewers_;
+            co_await std::make_shared<ViewerSession>(*hello, connection, [this] {
+                return status();
+            })->run(farm_, scenes_);
+            --viewers_;
+        }
+    }
+    connections_.erase(peer);
+}
+
+/// Throws when the peer is not to be let in; it then knows why.
+asio::awaitable<Hello> Server::handshake(std::shared_ptr<Connection> connection) {
+    // Bounds the whole handshake, also for a peer that sends byte by byte.
+    asio::steady_timer deadline(io_, config_.handshake_deadline);
+    deadline.async_wait([weak = std::weak_ptr(connection)](const error_code& cancelled) {
+        const auto self = weak.lock();
+        if (!cancelled && self) self->close();
+    });
+    const Message message = co_await connection->receive(
+        config_.handshake_deadline, {.message_bytes = max_hello_bytes, .payload_bytes = 0});
+    const auto* hello = message.get<Hello>();
+    if (!hello) throw ProtocolError("does not say hello first");
+    const std::string reason = objection(*hello);
+    if (reason.empty()) co_return *hello;
+    connection->send({Refused{reason}, {}});
+    co_await connection->close_when_sent();
+    throw ProtocolError(reason);
+}
+
+/// Why the peer is not let in, as a sentence for its user; empty when it is.
+std::string Server::objection(const Hello& hello) const {
+    if (hello.protocol != protocol_version)
+        return fmt::format(
+            "it speaks protocol version {} (build {}), this server version {} (build {}); install "
+            "the same release on both",
+            hello.protocol, hello.build, protocol_version, TESSERA_VERSION);
+    if (!config_.token.empty() && !same_token(hello.token, config_.token))
+        return "wrong token; set TESSERA_TOKEN to the same value as on the server";
+    if (connections_.size() - strangers_ >= config_.most_sessions)
+        return fmt::format("the server is full with {} sessions; try again later",
+                           config_.most_sessions);
+    return {};
+}
+
+Status Server::status() const {
+    Status out{.build = TESSERA_VERSION,
+               .uptime_seconds = std::chrono::duration<double>(Clock::now() - started_).count(),
+               .viewers = viewers_,
+               .frames_in_flight = farm_.frames_in_flight(),
+               .frames_done = farm_.frames_done(),
+               .scenes = {},
+               .workers = farm_.worker_status()};
+    for (const ScenePtr& scene : scenes_.all())
+        out.scenes.push_back({.name = scene->now.name,
+                              .version = scene->now.scene->version,
+                              .instances = scene->now.scene->scene.instances.size(),
+                              .bytes = scene->bytes});
+    return out;
+}
+
+}  // namespace tessera

@@ -1,0 +1,62 @@
+// The master: listens, lets peers in, and owns their sessions. One thread runs its io_context,
+// which makes that the strand of all state; only folding and tone mapping happen elsewhere.
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <memory>
+#include <string>
+
+#include "server/render_farm.h"
+#include "server/scene_store.h"
+#include "server/viewer_session.h"
+#include "server/worker_session.h"
+
+namespace tessera {
+
+struct ServerConfig {
+    std::string listen = "127.0.0.1:7411";  ///< host:port; port 0 takes a free one
+    /// What peers must prove to know; empty: anybody may come in, on loopback only.
+    std::string token;
+    unsigned fold_threads = 2;
+    std::size_t most_sessions = 1024;  ///< workers and viewers together
+    std::size_t most_strangers = 64;   ///< connections before their handshake is over
+    std::chrono::milliseconds handshake_deadline{5000};
+};
+
+class Server {
+public:
+    /// Listens at once. Throws UserError naming the address and what to do.
+    Server(asio::io_context& io, const ServerConfig& config);
+
+    /// A scene that every viewer may use. Throws UserError when there is one of that name.
+    void add_scene(const std::string& name, const SceneBundle& bundle);
+
+    /// "host:port", with the port that was taken.
+    std::string address() const;
+
+    /// Accepts peers from now on, while the io_context runs.
+    void start();
+    /// Closes everything; the io_context then runs out of work.
+    void stop();
+
+private:
+    asio::awaitable<void> accept_peers();
+    asio::awaitable<void> serve(tcp::socket socket);
+    asio::awaitable<Hello> handshake(std::shared_ptr<Connection> connection);
+    std::string objection(const Hello& hello) const;
+    Status status() const;
+
+    ServerConfig config_;
+    asio::io_context& io_;
+    tcp::acceptor acceptor_;
+    std::chrono::steady_clock::time_point started_;
+    SceneStore scenes_;
+    RenderFarm farm_;
+    std::uint64_t last_peer_ = 0;
+    std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;  ///< all that are open
+    std::size_t strangers_ = 0;
+    std::uint32_t viewers_ = 0;
+};
+
+}  // namespace tessera

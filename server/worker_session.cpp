@@ -1,0 +1,154 @@
+#include "server/worker_session.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "common/check.h"
+#include "common/log.h"
+#include "server/render_farm.h"
+
+namespace tessera {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr auto ping_interval = std::chrono::seconds(1);
+/// A worker answers pings even while it renders or builds; ten lost ones mean that it is gone.
+constexpr auto longest_silence = std::chrono::seconds(10);
+/// Threads that a worker may claim: bounds what it is handed ahead.
+constexpr std::uint32_t most_threads = 1024;
+
+std::uint64_t now_nanoseconds() { return std::uint64_t(Clock::now().time_since_epoch().count()); }
+
+}  // namespace
+
+WorkerSession::WorkerSession(std::uint64_t id, const Hello& hello,
+                             std::shared_ptr<Connection> connection,
+                             const asio::any_io_executor& strand)
+    : id_(id),
+      name_(hello.name.empty() ? connection->remote_address() : hello.name),
+      threads_(std::clamp(hello.threads, 1u, most_threads)),
+      connection_(std::move(connection)),
+      ping_timer_(strand) {}
+
+asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
+    const auto self = shared_from_this();
+    spdlog::info("worker {} joins from {} with {} threads", name_, address(), threads_);
+    asio::co_spawn(
+        ping_timer_.get_executor(), [self] { return self->keep_pinging(); }, asio::detached);
+    farm.add_worker(self);
+    try {
+        for (;;) handle(co_await connection_->receive(longest_silence), farm);
+    } catch (const ProtocolError& error) {
+        spdlog::warn("worker {} is dropped: it {}", name_, error.what());
+    } catch (const std::exception& error) {
+        spdlog::info("worker {} leaves: {}", name_, error.what());
+    }
+    connection_->close();
+    ping_timer_.cancel();
+    farm.remove_worker(id_);
+}
+
+void WorkerSession::handle(Message message, RenderFarm& farm) {
+    if (const auto* result = message.get<TileResult>())
+        farm.tile_result(*this, *result);
+    else if (const auto* request = message.get<BlobRequest>())
+        send_blobs_of(*request);
+    else if (const auto* ready = message.get<SceneReady>())
+        became_ready(*ready, farm);
+    else if (const auto* failure = message.get<Failure>())
+        failed(*failure, farm);
+    else if (const auto* ping = message.get<Ping>())
+        connection_->send({Pong{ping->stamp}, {}});
+    else if (const auto* pong = message.get<Pong>())
+        round_trip_seconds_ = 1e-9 * double(now_nanoseconds() - pong->stamp);
+    else
+        throw ProtocolError("sends a message that is not for workers to send");
+}
+
+void WorkerSession::send_blobs_of(const BlobRequest& request) {
+    const auto held = scenes_.find(request.scene);
+    if (held == scenes_.end() || request.blobs.empty()) return;
+    asio::co_spawn(ping_timer_.get_executor(),
+                   send_blobs(connection_, held->second.sent.blobs, request.blobs),
+                   [self = shared_from_this()](std::exception_ptr error) {
+                       if (error) self->close();
+                   });
+}
+
+bool WorkerSession::bring(const ReadyScene& scene) {
+    const auto held = scenes_.find(scene.name);
+    const bool known = held != scenes_.end();
+    if (known && held->second.sent.scene->version == scene.scene->version) return false;
+    // Once a build has failed, nobody knows what the worker holds: start again from nothing.
+    const bool from_nothing = !known || !held->second.failure.empty();
+    const SceneDelta delta =
+        diff(from_nothing ? SceneVersion{} : *held->second.sent.scene, *scene.scene);
+    SceneState& state =
+        scenes_[scene.name] = {.sent = scene, .ready = false, .report = {}, .failure = {}};
+    try {
+        connection_->send({SceneUpdate{scene.name, delta}, {}});
+        unanswered_.push_back(scene.name);
+    } catch (const UserError& too_large) {
+        state.failure = too_large.what();
+    }
+    return true;
+}
+
+bool WorkerSession::drop(const std::string& scene) {
+    if (scenes_.erase(scene) == 0) return false;
+    std::erase(unanswered_, scene);
+    connection_->send({SceneDrop{scene}, {}});
+    return true;
+}
+
+void WorkerSession::hand_out(const FrameSpec& spec, const TileTask& task) {
+    if (frames_.insert(spec.frame).second) connection_->send({FrameBegin{spec}, {}});
+    connection_->send({task, {}});
+}
+
+void WorkerSession::end_frame(std::uint64_t frame) {
+    if (frames_.erase(frame) > 0) connection_->send({FrameEnd{frame}, {}});
+}
+
+const WorkerSession::SceneState* WorkerSession::state_of(const std::string& scene,
+                                                         std::uint64_t version) const {
+    const auto held = scenes_.find(scene);
+    if (held == scenes_.end() || held->second.sent.scene->version != version) return nullptr;
+    return &held->second;
+}
+
+void WorkerSession::became_ready(const SceneReady& ready, RenderFarm& farm) {
+    std::erase(unanswered_, ready.scene);
+    const auto held = scenes_.find(ready.scene);
+    // It may speak of a scene that was dropped or changed in the meantime.
+    if (held == scenes_.end() || held->second.sent.scene->version != ready.version) return;
+    held->second.ready = true;
+    held->second.report = ready;
+    held->second.failure.clear();
+    spdlog::info("worker {} has built {} version {} in {:.2f} s", name_, ready.scene, ready.version,
+                 ready.build_seconds);
+    farm.scene_ready(*this, ready.scene, ready.version);
+}
+
+/// A worker's failure is about the oldest update that it has not answered.
+void WorkerSession::failed(const Failure& failure, RenderFarm& farm) {
+    spdlog::warn("worker {}: {}", name_, failure.reason);
+    if (unanswered_.empty()) return;
+    const std::string scene = std::exchange(unanswered_.front(), {});
+    unanswered_.pop_front();
+    scenes_.at(scene).failure = failure.reason.empty() ? "no reason given" : failure.reason;
+    farm.scene_failed(*this, scene);
+}
+
+asio::awaitable<void> WorkerSession::keep_pinging() {
+    const auto self = shared_from_this();
+    boost::system::error_code cancelled;
+    while (connection_->open() && !cancelled) {
+        connection_->send({Ping{now_nanoseconds()}, {}});
+        ping_timer_.expires_after(ping_interval);
+        co_await ping_timer_.async_wait(asio::redirect_error(asio::use_awaitable, cancelled));
+    }
+}
+
+}  // namespace tessera

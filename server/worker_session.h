@@ -1,0 +1,70 @@
+// One worker: its connection, what it holds, what it is at. Lives on the server's strand.
+#pragma once
+
+#include <deque>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+
+#include "common/scene_sync.h"
+
+namespace tessera {
+
+class RenderFarm;
+
+class WorkerSession : public std::enable_shared_from_this<WorkerSession> {
+public:
+    WorkerSession(std::uint64_t id, const Hello& hello, std::shared_ptr<Connection> connection,
+                  const asio::any_io_executor& strand);
+
+    /// Serves the worker until it goes or breaks the protocol.
+    asio::awaitable<void> run(RenderFarm& farm);
+    void close() { connection_->close(); }
+
+    /// Sends what leads from the version it has to this one, unless it is there or on its way.
+    /// Returns whether an update was sent.
+    bool bring(const ReadyScene& scene);
+    /// Returns whether the worker had it.
+    bool drop(const std::string& scene);
+    void hand_out(const FrameSpec& spec, const TileTask& task);
+    void end_frame(std::uint64_t frame);
+
+    /// How far the worker is with a version of a scene.
+    struct SceneState {
+        ReadyScene sent;
+        bool ready = false;
+        SceneReady report;    ///< when ready
+        std::string failure;  ///< not empty when the worker cannot build it
+    };
+    /// Null when that version was never sent or a newer one has followed.
+    const SceneState* state_of(const std::string& scene, std::uint64_t version) const;
+
+    std::uint64_t id() const { return id_; }
+    const std::string& name() const { return name_; }
+    std::uint32_t threads() const { return threads_; }
+    const std::string& address() const { return connection_->remote_address(); }
+    double round_trip_seconds() const { return round_trip_seconds_; }
+
+    std::uint64_t tiles = 0;  ///< results used
+    std::uint64_t rays = 0;
+
+private:
+    void handle(Message message, RenderFarm& farm);
+    void send_blobs_of(const BlobRequest& request);
+    void became_ready(const SceneReady& ready, RenderFarm& farm);
+    void failed(const Failure& failure, RenderFarm& farm);
+    asio::awaitable<void> keep_pinging();
+
+    std::uint64_t id_;
+    std::string name_;
+    std::uint32_t threads_;
+    std::shared_ptr<Connection> connection_;
+    std::map<std::string, SceneState> scenes_;
+    std::deque<std::string> unanswered_;  ///< scenes of updates sent, oldest first
+    std::set<std::uint64_t> frames_;      ///< begun on the worker
+    double round_trip_seconds_ = 0;
+    asio::steady_timer ping_timer_;
+};
+
+}  // namespace tessera

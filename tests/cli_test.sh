@@ -1,0 +1,106 @@
+#!/usr/bin/env bash
+# The command line as people and scripts use it: files appear, statistics are valid, and everything that goes wrong
+# says so in a sentence, with a failing exit status and no process left behind.
+# usage: cli_test.sh BIN_FOLDER
+set -uo pipefail
+bin=$1
+work=$(mktemp -d)
+trap 'kill $(jobs -p) 2>/dev/null; rm -rf "$work"' EXIT
+failures=0
+
+fail() { echo "FAILED: $*"; failures=$((failures + 1)); }
+
+# expect_ok WHAT COMMAND...
+expect_ok() {
+    local what=$1; shift
+    "$@" >"$work/out" 2>"$work/err" || { fail "$what: exit status $?"; cat "$work/err"; }
+}
+
+# expect_error PATTERN COMMAND...: fails, and says something that matches
+expect_error() {
+    local pattern=$1; shift
+    if "$@" >"$work/out" 2>"$work/err"; then fail "succeeded: $*"; return; fi
+    grep -qiE -- "$pattern" "$work/err" || { fail "no '$pattern' in the message of: $*"; cat "$work/err"; }
+}
+
+# children_of PID: its server and worker, once both run
+children_of() {
+    local children=
+    while kill -0 "$1" 2>/dev/null && [[ $(wc -w <<<"$children") -lt 2 ]]; do children=$(pgrep -P "$1"); done
+    echo $children
+}
+
+tessera() { timeout 60 "$bin/tessera" "$@"; }
+
+expect_ok "list" tessera scene --list
+grep -q '^cornell' "$work/out" || fail "scene --list misses cornell"
+expect_ok "generate" tessera scene cornell -o "$work/cornell.glb"
+expect_ok "render" tessera render "$work/cornell.glb" -o "$work/a.exr" --size 64x48 --stats "$work/stats.json" --aov albedo,normal,depth,direct
+for field in load_seconds build_seconds render_seconds passes rays error_estimate plan workers; do
+    grep -q "\"$field\"" "$work/stats.json" || fail "stats miss $field"
+done
+for aov in albedo normal depth direct; do [[ -s $work/a.$aov.exr ]] || fail "no $aov"; done
+expect_ok "generated name, equals signs" tessera render cornell -o "$work/b.exr" --size=64x48 --workers=2 --threads=1
+expect_ok "compare" tessera compare "$work/a.exr" "$work/b.exr" --json
+grep -q '"identical": true' "$work/out" || fail "file and generated scene differ"
+expect_ok "png" tessera render cornell -o "$work/c.png" --size 40x30 --integrator path --passes 2 --tone filmic
+expect_ok "time limit" tessera render cornell -o "$work/d.png" --size 40x30 --time 0.2
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >"$work/dark.obj"
+expect_ok "no light, no camera" tessera render "$work/dark.obj" -o "$work/dark.png" --size 20x20
+grep -q "no light" "$work/err" || fail "does not say that there is no light"
+grep -q "no camera" "$work/err" || fail "does not say that there is no camera"
+
+expect_error "missing.glb" tessera render "$work/missing.glb" -o "$work/x.png"
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n' >"$work/broken.obj"
+expect_error "broken.obj:4" tessera render "$work/broken.obj" -o "$work/x.png"
+printf 'ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n1 oops 0\n' >"$work/broken.ply"
+expect_error "broken.ply:9" tessera render "$work/broken.ply" -o "$work/x.png"
+echo '{"asset": {"version": "2.0"' >"$work/broken.gltf"
+expect_error "broken.gltf" tessera render "$work/broken.gltf" -o "$work/x.png"
+echo 'no picture' >"$work/broken.exr"
+expect_error "broken.exr" tessera compare "$work/a.exr" "$work/broken.exr"
+expect_error "size" tessera render cornell -o "$work/x.png" --size 0x10
+expect_error "size" tessera render cornell -o "$work/x.png" --size 99999x10
+expect_error "vpls" tessera render cornell -o "$work/x.png" --vpls 0
+expect_error "interleave" tessera render cornell -o "$work/x.png" --interleave 4
+expect_error "x.nonsense" tessera render cornell -o "$work/x.nonsense"
+expect_error "up" tessera render cornell -o "$work/x.png" --eye 0,1,0 --at 0,0,0
+expect_error "no such camera" tessera render cornell -o "$work/x.png" --camera none
+expect_error "cannot reach" tessera status --server 127.0.0.1:1
+expect_error "cannot reach" tessera render cornell -o "$work/x.png" --server 127.0.0.1:1
+expect_error "nowhere" tessera status --server nowhere
+expect_error "output" tessera render cornell
+
+# A server of one's own: no workers at first, a port that is taken, status, a wrong token.
+export TESSERA_TOKEN=secret
+mkfifo "$work/greeting" "$work/notes"
+"$bin/tessera-server" --listen 127.0.0.1:0 >"$work/greeting" 2>"$work/server.log" &
+server=$!
+read -r _ _ address <"$work/greeting"
+expect_error "in use" timeout 20 "$bin/tessera-server" --listen "$address"
+TESSERA_TOKEN=guess expect_error "token" tessera status --server "$address"
+expect_ok "status" tessera status --server "$address" --json
+grep -q '"workers": \[\]' "$work/out" || fail "status shows workers that are not there"
+tessera render cornell -o "$work/late.png" --size 64x48 --server "$address" 2>"$work/notes" &
+client=$!
+grep -m 1 -q "waiting" <"$work/notes" || fail "does not say that it waits for workers"
+"$bin/tessera-worker" --server "$address" --threads 1 2>"$work/worker.log" &
+wait $client || fail "render that waited for a worker"
+kill $server
+
+# However the client ends, its cluster ends.
+for signal in INT KILL; do
+    "$bin/tessera" render office -o "$work/x.png" --size 1600x1200 --passes 5000 2>/dev/null &
+    client=$!
+    children=$(children_of $client)
+    kill -$signal $client
+    wait $client 2>/dev/null
+    status=$?
+    [[ $signal == KILL || $status -eq 130 ]] || fail "exit status $status after Ctrl-C"
+    for child in $children; do
+        timeout 5 tail --pid="$child" -f /dev/null || fail "process $child outlives a client ended by $signal"
+    done
+done
+
+[[ $failures -eq 0 ]] && echo "all good"
+exit "$failures"

@@ -1,0 +1,102 @@
+// Real processes on loopback: the same frame is the same bits from any number of workers and
+// threads, and when a worker is killed in mid-frame; nothing is left behind.
+
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <filesystem>
+
+#include "client/local_cluster.h"
+#include "client/render_client.h"
+#include "common/check.h"
+#include "common/generator.h"
+
+namespace tessera {
+namespace {
+
+FrameRequest small_office(const SceneBundle& bundle) {
+    FrameRequest request;
+    request.spec.scene = "office";
+    request.spec.size = {200, 120};
+    request.spec.camera = bundle.scene.cameras.front();
+    return request;
+}
+
+struct Cluster {
+    LocalCluster processes;
+    RenderClient client;
+
+    Cluster(int workers, int threads)
+        : processes({.workers = workers, .threads = threads, .programs = TESSERA_PROGRAMS}),
+          client({.address = processes.address(), .token = processes.token()}) {}
+};
+
+const SceneBundle& office() {
+    static const SceneBundle bundle = *generate_scene("office");
+    return bundle;
+}
+
+Image render(
+    Cluster& cluster, const FrameRequest& request,
+    const std::function<void(const FrameProgress&)>& progress = [](const FrameProgress&) {}) {
+    cluster.client.upload_scene("office", office());
+    return cluster.client.render(request, progress).channels.at(Channel::radiance);
+}
+
+TEST(Cluster, same_bits_from_any_number_of_workers_and_threads) {
+    const FrameRequest request = small_office(office());
+    Cluster one(1, 1);
+    const Image expected = render(one, request);
+    for (const auto& [workers, threads] : {std::pair(1, 2), std::pair(2, 1), std::pair(3, 2)}) {
+        Cluster cluster(workers, threads);
+        EXPECT_EQ(render(cluster, request), expected)
+            << workers << " workers, " << threads << " threads";
+    }
+}
+
+TEST(Cluster, same_bits_when_a_worker_is_killed_in_mid_frame) {
+    FrameRequest request = small_office(office());
+    request.spec.settings.passes = 24;
+    Cluster undisturbed(1, 2);
+    const Image expected = render(undisturbed, request);
+
+    Cluster cluster(2, 1);
+    bool killed = false;
+    const Image picture = render(cluster, request, [&](const FrameProgress& p) {
+        if (killed || p.workers < 2 || p.tiles_done == 0) return;
+        kill(cluster.processes.workers().front(), SIGKILL);
+        killed = true;
+    });
+    EXPECT_TRUE(killed) << "the frame was over before a worker could be killed";
+    EXPECT_EQ(picture, expected);
+}
+
+TEST(Cluster, a_second_upload_of_the_same_scene_renders_the_same) {
+    const FrameRequest request = small_office(office());
+    Cluster cluster(1, 2);
+    const Image first = render(cluster, request);
+    EXPECT_EQ(render(cluster, request), first);
+}
+
+TEST(Cluster, wrong_token_is_refused_with_a_reason) {
+    LocalCluster processes({.workers = 1, .threads = 1, .programs = TESSERA_PROGRAMS});
+    try {
+        RenderClient client({.address = processes.address(), .token = "guess"});
+        FAIL() << "the server let a stranger in";
+    } catch (const UserError& error) {
+        EXPECT_NE(std::string(error.what()).find("token"), std::string::npos) << error.what();
+    }
+}
+
+TEST(Cluster, children_are_gone_with_the_cluster) {
+    std::vector<pid_t> workers;
+    {
+        LocalCluster processes({.workers = 2, .threads = 1, .programs = TESSERA_PROGRAMS});
+        workers = processes.workers();
+        for (const pid_t pid : workers) EXPECT_EQ(kill(pid, 0), 0);
+    }
+    for (const pid_t pid : workers) EXPECT_NE(kill(pid, 0), 0);
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,238 @@
+// Frame assembly: any order and any duplication of results gives the same bits; passes fold in
+// order; the error estimate is the one of its definition.
+
+#include "server/frame.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <random>
+
+#include "common/discontinuity.h"
+#include "server/runs.h"
+
+namespace tessera {
+namespace {
+
+FrameSpec small_frame(Integrator integrator, std::uint32_t passes) {
+    FrameSpec spec;
+    spec.frame = 7;
+    spec.size = {50, 37};
+    spec.settings.integrator = integrator;
+    spec.settings.passes = passes;
+    spec.extra = ChannelSet{}
+                     .with(Channel::albedo)
+                     .with(Channel::irradiance)
+                     .with(Channel::depth)
+                     .with(Channel::direct);
+    return spec;
+}
+
+/// An answer that depends on nothing but the task.
+TileResult answer(const FrameSpec& spec, const TileTask& task) {
+    TileResult result;
+    result.task = task;
+    std::mt19937 random(task.tile * 1000 + task.first_pass);
+    std::uniform_real_distribution<float> uniform;
+    const std::size_t pixels = tile_rect(spec.size, task.tile).pixels();
+    for (int c = 0; c < channel_count; ++c) {
+        if (!tile_channels(spec).has(Channel(c))) continue;
+        for (std::size_t i = 0; i < pixels * std::size_t(floats_per_pixel(Channel(c))); ++i) {
+            float value = uniform(random) * float(task.pass_count);
+            if (Channel(c) == Channel::normal) value = i % 3 == 2;
+            if (Channel(c) == Channel::depth) value = 1;
+            if (Channel(c) == Channel::surface) value = std::bit_cast<float>(3u);
+            result.data.push_back(value);
+        }
+    }
+    return result;
+}
+
+std::vector<TileTask> all_tasks(const FrameSpec& spec) {
+    std::vector<TileTask> out;
+    for (std::uint32_t run = 0; run < run_count(spec.settings); ++run)
+        for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
+            out.push_back(task_of(spec, run, tile));
+    return out;
+}
+
+struct Assembly {
+    FrameSpec spec;
+    FrameAssembler assembler;
+    FrameSums sums;
+
+    explicit Assembly(const FrameSpec& s) : spec(s), assembler(s), sums(s) {}
+
+    Arrival add(const TileTask& task) { return assembler.add(answer(spec, task)); }
+    void fold(int band_rows) {
+        while (std::optional<RunBuffer> run = assembler.take_complete()) {
+            for (int y = 0; y < spec.size.height; y += band_rows)
+                sums.fold(*run, y, std::min(y + band_rows, spec.size.height));
+            sums.finish_run(*run);
+            assembler.run_folded(std::move(*run));
+        }
+    }
+};
+
+Assembly assemble_in_order(const FrameSpec& spec) {
+    Assembly frame(spec);
+    for (const TileTask& task : all_tasks(spec)) {
+        EXPECT_EQ(frame.add(task), Arrival::stored);
+        frame.fold(spec.size.height);
+    }
+    EXPECT_TRUE(frame.assembler.finished());
+    return frame;
+}
+
+void expect_same_bits(const Assembly& a, const Assembly& b) {
+    EXPECT_EQ(a.sums.picture(), b.sums.picture());
+    EXPECT_EQ(a.sums.error_estimate(), b.sums.error_estimate());
+    for (Channel c : {Channel::albedo, Channel::irradiance, Channel::depth, Channel::direct})
+        EXPECT_EQ(a.sums.channel(c), b.sums.channel(c)) << int(c);
+}
+
+TEST(Frame, any_order_and_duplication_gives_the_same_bits) {
+    for (const Integrator integrator : {Integrator::igi, Integrator::path}) {
+        const FrameSpec spec = small_frame(integrator, integrator == Integrator::igi ? 5 : 70);
+        const Assembly expected = assemble_in_order(spec);
+        for (unsigned seed = 0; seed < 8; ++seed) {
+            Assembly frame(spec);
+            std::mt19937 random(seed);
+            std::vector<TileTask> tasks = all_tasks(spec);
+            std::shuffle(tasks.begin(), tasks.end(), random);
+            for (const TileTask& task : tasks) {
+                EXPECT_EQ(frame.add(task), Arrival::stored);
+                EXPECT_EQ(frame.add(task), Arrival::duplicate);
+                frame.fold(1 + int(random() % 20));
+            }
+            EXPECT_TRUE(frame.assembler.finished());
+            EXPECT_EQ(frame.assembler.tasks_done(), tasks.size());
+            expect_same_bits(frame, expected);
+        }
+    }
+}
+
+TEST(Frame, picture_is_the_mean_of_radiance_and_filtered_irradiance) {
+    const FrameSpec spec = small_frame(Integrator::igi, 1);
+    Assembly frame(spec);
+    for (const TileTask& task : all_tasks(spec)) frame.add(task);
+    const RunBuffer run = *frame.assembler.take_complete();
+    frame.sums.fold(run, 0, spec.size.height);
+    frame.sums.finish_run(run);
+
+    const std::size_t n = spec.size.pixels();
+    const auto plane = [&](std::size_t from, std::size_t floats) {
+        return std::span(run.data).subspan(from * n, floats * n);
+    };
+    std::vector<float> filtered(3 * n);
+    filter_irradiance({.picture = spec.size, .camera = spec.camera},
+                      {.area = {0, 0, spec.size.width, spec.size.height},
+                       .irradiance = plane(3, 3),
+                       .normal = plane(9, 3),
+                       .depth = plane(12, 1),
+                       .surface = plane(13, 1)},
+                      {0, 0, spec.size.width, spec.size.height}, filtered);
+    const Image picture = frame.sums.picture();
+    for (std::size_t i = 0; i < 3 * n; ++i)
+        ASSERT_FLOAT_EQ(picture.data[i], plane(0, 3)[i] + plane(6, 3)[i] / pi * filtered[i]);
+    EXPECT_EQ(frame.sums.channel(Channel::irradiance).data, filtered);
+    EXPECT_EQ(frame.sums.error_estimate(), 0);
+}
+
+TEST(Frame, error_estimate_is_the_standard_error_of_the_mean_of_runs) {
+    const FrameSpec spec = small_frame(Integrator::path, 80);
+    Assembly frame(spec);
+    std::vector<std::vector<double>> means;
+    for (const TileTask& task : all_tasks(spec)) {
+        frame.add(task);
+        if (task.tile + 1 < tile_count(spec.size)) continue;
+        const RunBuffer run = *frame.assembler.take_complete();
+        frame.sums.fold(run, 0, spec.size.height);
+        frame.sums.finish_run(run);
+        means.emplace_back();
+        for (std::size_t i = 0; i < 3 * spec.size.pixels(); ++i)
+            means.back().push_back(run.data[i] / double(run.passes));
+        frame.assembler.run_folded(run);
+    }
+    double sum = 0;
+    const double n = double(means.size());
+    for (std::size_t i = 0; i < means[0].size(); ++i) {
+        double mean = 0, squares = 0;
+        for (const auto& m : means) mean += m[i] / n;
+        for (const auto& m : means) squares += (m[i] - mean) * (m[i] - mean);
+        sum += squares / (n - 1) / n;
+    }
+    EXPECT_NEAR(frame.sums.error_estimate(), std::sqrt(sum / double(means[0].size())), 1e-6);
+}
+
+TEST(Frame, results_of_the_wrong_shape_are_refused) {
+    const FrameSpec spec = small_frame(Integrator::igi, 2);
+    Assembly frame(spec);
+    const TileResult good = answer(spec, task_of(spec, 0, 3));
+    const auto broken = [&](auto change) {
+        TileResult result = good;
+        change(result);
+        EXPECT_EQ(frame.assembler.add(result), Arrival::broken);
+    };
+    broken([](TileResult& r) { r.data.pop_back(); });
+    broken([](TileResult& r) { r.data.push_back(0); });
+    broken([](TileResult& r) { r.data.clear(); });
+    broken([](TileResult& r) { r.task.tile = 100; });
+    broken([](TileResult& r) { r.task.first_pass = 2; });
+    broken([](TileResult& r) { r.task.pass_count = 2; });
+    broken([](TileResult& r) { r.task.frame = 8; });
+    EXPECT_EQ(frame.assembler.add(good), Arrival::stored);
+}
+
+TEST(Frame, early_stop_is_the_frame_of_fewer_passes) {
+    const Assembly expected = assemble_in_order(small_frame(Integrator::igi, 3));
+    Assembly frame(small_frame(Integrator::igi, 9));
+    std::vector<TileTask> tasks = all_tasks(frame.spec);
+    const std::size_t tiles = tile_count(frame.spec.size);
+    for (std::size_t i = 0; i < 2 * tiles; ++i) frame.add(tasks[i]);
+    for (std::size_t i = 3 * tiles; i < 4 * tiles + 3; ++i) frame.add(tasks[i]);
+    frame.assembler.limit_passes(3);
+    frame.fold(8);
+    EXPECT_FALSE(frame.assembler.finished());
+    EXPECT_EQ(frame.assembler.tasks_done(), 2 * tiles);
+    for (std::size_t i = 2 * tiles; i < 3 * tiles; ++i) frame.add(tasks[i]);
+    EXPECT_EQ(frame.add(tasks[3 * tiles]), Arrival::not_wanted);
+    frame.fold(8);
+    EXPECT_TRUE(frame.assembler.finished());
+    expect_same_bits(frame, expected);
+    frame.assembler.limit_passes(1);
+    EXPECT_TRUE(frame.assembler.finished());
+    EXPECT_EQ(frame.sums.passes(), 3u);
+}
+
+TEST(Frame, runs_in_flight_are_bounded_by_what_has_been_folded) {
+    FrameSpec spec = small_frame(Integrator::igi, 1000);
+    spec.size = {1024, 1024};
+    Assembly frame(spec);
+    EXPECT_EQ(frame.assembler.run_limit(), frame.assembler.window());
+    EXPECT_GE(frame.assembler.window(), 2u);
+    EXPECT_LE(frame.assembler.window(), 8u);
+    EXPECT_EQ(frame.add(task_of(spec, frame.assembler.window(), 0)), Arrival::not_wanted);
+    for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
+        frame.add(task_of(spec, 0, tile));
+    EXPECT_EQ(frame.assembler.run_limit(), frame.assembler.window());
+    frame.fold(100);
+    EXPECT_EQ(frame.assembler.run_limit(), frame.assembler.window() + 1);
+}
+
+TEST(Frame, values_that_are_not_finite_do_not_reach_the_picture) {
+    const FrameSpec spec = small_frame(Integrator::igi, 1);
+    Assembly frame(spec);
+    for (const TileTask& task : all_tasks(spec)) {
+        TileResult result = answer(spec, task);
+        for (std::size_t i = 0; i < result.data.size(); i += 17) result.data[i] = std::nanf("");
+        frame.assembler.add(result);
+    }
+    frame.fold(10);
+    for (float v : frame.sums.picture().data) ASSERT_TRUE(std::isfinite(v));
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,299 @@
+// Every kind of ray, ours against brute force (bit for bit) and against Embree (disagreements are
+// judged in double), and no leaks between triangles.
+#include "worker/tracer.h"
+
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "common/check.h"
+#include "common/generator.h"
+#include "common/scene_io.h"
+#include "tests/tracer_scenes.h"
+#include "worker/affine.h"
+#include "worker/triangle.h"
+
+namespace tessera {
+namespace {
+
+/// Tests all triangles of all instances with the tracer's own arithmetic.
+Hit brute_force(const TestScene& scene, const Ray& world_ray) {
+    Hit best;
+    for (std::uint32_t i = 0; i < scene.instances.size(); ++i) {
+        const TracerInstance& instance = scene.instances[i];
+        const auto inverse = inverse_affine(instance.world_from_object);
+        if (!inverse) continue;
+        const bool direct = scene.instances.size() == 1 && instance.world_from_object == mat4(1);
+        const TriangleRay ray(direct ? world_ray : transformed(world_ray, *inverse));
+        const Mesh& mesh = scene.meshes[instance.object];
+        for (std::uint32_t k = 0; k < mesh.triangles.size(); ++k) {
+            const uvec3& v = mesh.triangles[k];
+            const Triangle triangle{mesh.positions[v.x], mesh.positions[v.y], mesh.positions[v.z],
+                                    k};
+            TriangleHit hit;
+            if (!is_degenerate(triangle) && ray.hits(triangle, hit) && hit.t < best.t)
+                best = {hit.t, hit.u, hit.v, i, k};
+        }
+    }
+    return best;
+}
+
+/// What an exact tracer may answer: the closest t of triangles that the ray surely hits, and the
+/// closest of those that it hits or grazes within rounding.
+struct Verdict {
+    double sure = infinity;
+    double possible = infinity;
+};
+
+/// Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in double.
+Verdict judge(const TestScene& scene, const Ray& ray) {
+    using glm::dmat4;
+    using glm::dvec3;
+    using glm::dvec4;
+    Verdict verdict;
+    const dvec3 org(ray.org), dir(ray.dir);
+    for (const TracerInstance& instance : scene.instances) {
+        if (!inverse_affine(instance.world_from_object)) continue;
+        const dmat4 m(instance.world_from_object);
+        const Mesh& mesh = scene.meshes[instance.object];
+        for (const uvec3& v : mesh.triangles) {
+            const dvec3 a(m * dvec4(mesh.positions[v.x], 1)), b(m * dvec4(mesh.positions[v.y], 1)),
+                c(m * dvec4(mesh.positions[v.z], 1));
+            const dvec3 p = cross(dir, c - a);
+            const double det = dot(p, b - a);
+            const dvec3 s = org - a, q = cross(s, b - a);
+            const double u = dot(s, p) / det, w = dot(dir, q) / det, t = dot(c - a, q) / det;
+            // Float rounds a ray and a transformed origin by 2^-24 of their coordinates.
+            const double reach = length(s) + length(b - a) + length(c - a) + length(org);
+            const double height =
+                std::abs(det) / (length(dir) * std::max(length(b - a), length(c - a)));
+            const double slack = 1e-6 * reach / height;
+            const double inside = std::min({u, w, 1 - u - w});
+            const double t_slack = 1e-6 * reach / length(dir) + slack * std::abs(t);
+            if (inside > slack && t > ray.tmin + t_slack && t < ray.tmax - t_slack)
+                verdict.sure = std::min(verdict.sure, t + t_slack);
+            if (!(inside < -slack || t < ray.tmin - t_slack || t > ray.tmax + t_slack))
+                verdict.possible =
+                    std::min(verdict.possible, std::isfinite(t - t_slack) ? t - t_slack : 0);
+        }
+    }
+    return verdict;
+}
+
+bool allowed(const Verdict& verdict, const Hit& hit) {
+    const double t = hit.valid() ? double(hit.t) : double(infinity);
+    return t <= verdict.sure && (t >= verdict.possible || !hit.valid());
+}
+
+bool agree(const Hit& a, const Hit& b) {
+    return a.valid() == b.valid() && (!a.valid() || std::abs(a.t - b.t) <= 1e-5f * std::abs(a.t));
+}
+
+class TracerTest : public testing::TestWithParam<TestScene> {};
+
+constexpr auto name_of = [](const auto& scene) { return scene.param.name; };
+
+struct Tally {
+    int rays = 0;
+    int disagreements = 0;
+    int wrong = 0;
+    int embree_wrong = 0;
+};
+
+/// Traces `count` rays of each kind with both tracers; judges where they differ.
+Tally compare_with_embree(const TestScene& scene, int count) {
+    const auto ours = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    const auto embree = build_tracer(TracerKind::embree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, ours->bounds(), 11);
+    Tally tally;
+    for (int kind = 0; kind < RayMaker::kinds; ++kind) {
+        std::vector<Ray> rays;
+        for (int i = 0; i < count; ++i) rays.push_back(maker.ray(kind));
+        std::vector<Hit> hits(rays.size()), embree_hits(rays.size());
+        std::vector<std::uint8_t> blocked(rays.size());
+        ours->closest_hits(rays, hits);
+        ours->occluded(rays, blocked);
+        embree->closest_hits(rays, embree_hits);
+        for (int i = 0; i < count; ++i) {
+            EXPECT_EQ(blocked[i] != 0, hits[i].valid());
+            ++tally.rays;
+            if (agree(hits[i], embree_hits[i])) continue;
+            const Verdict verdict = judge(scene, rays[i]);
+            ++tally.disagreements;
+            if (!allowed(verdict, hits[i])) {
+                ++tally.wrong;
+                ADD_FAILURE() << RayMaker::name(kind) << " ray " << i << ": t " << hits[i].t
+                              << ", surely " << verdict.sure << ", possibly " << verdict.possible;
+            }
+            tally.embree_wrong += !allowed(verdict, embree_hits[i]);
+        }
+    }
+    std::cout << scene.name << ": " << tally.rays << " rays, " << tally.disagreements
+              << " disagreements, wrong: ours " << tally.wrong << ", Embree " << tally.embree_wrong
+              << "\n";
+    return tally;
+}
+
+TEST_P(TracerTest, EqualsBruteForceBitForBit) {
+    const TestScene& scene = GetParam();
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
+    RayMaker maker(scene, tracer->bounds(), 7);
+    for (int kind = 0; kind < RayMaker::kinds; ++kind)
+        for (int i = 0; i < 3000; ++i) {
+            const Ray ray = maker.ray(kind);
+            const Hit expected = brute_force(scene, ray);
+            const Hit hit = tracer->closest_hit(ray);
+            ASSERT_EQ(hit, expected)
+                << RayMaker::name(kind) << " ray " << i << ": t " << hit.t << " instance "
+                << hit.instance << " triangle " << hit.triangle << ", expected " << expected.t
+                << " instance " << expected.instance << " triangle " << expected.triangle;
+            ASSERT_EQ(tracer->occluded(ray), expected.valid());
+        }
+}
+
+TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 15000); }
+
+INSTANTIATE_TEST_SUITE_P(Small, TracerTest, testing::ValuesIn(small_scenes()), name_of);
+
+/// The geometry of a whole scene.
+TestScene test_scene(std::string name, const SceneBundle& bundle) {
+    TestScene out{std::move(name), {}, {}};
+    for (const Object& object : bundle.scene.objects)
+        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    for (const Instance& instance : bundle.scene.instances)
+        out.instances.push_back({instance.object, instance.world_from_object});
+    return out;
+}
+
+/// A few rays by brute force, many against Embree.
+void compare(const TestScene& scene, int count) {
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, tracer->bounds(), 3);
+    for (int i = 0; i < 30; ++i) {
+        const Ray ray = maker.ray(i % RayMaker::kinds);
+        EXPECT_EQ(tracer->closest_hit(ray), brute_force(scene, ray)) << scene.name << " ray " << i;
+    }
+    compare_with_embree(scene, count);
+}
+
+TEST(Tracer, AgreesOnGeneratedScenes) {
+    for (const GeneratedScene& scene : generated_scenes())
+        compare(test_scene(scene.name, *generate_scene(scene.name)), 5000);
+}
+
+TEST(Tracer, AgreesOnSharedScenes) {
+    namespace fs = std::filesystem;
+    const fs::path scenes = fs::path(TESSERA_SHARED_DIR) / "scenes";
+    if (!fs::exists(scenes)) GTEST_SKIP() << scenes << " is not there";
+    compare(test_scene("conference", load_ply(scenes / "conference/conference.ply").bundle), 4000);
+    int loaded = 0;
+    for (const auto& entry : fs::recursive_directory_iterator(scenes / "torture")) {
+        const std::string extension = entry.path().extension();
+        if (extension != ".obj" && extension != ".ply" && extension != ".gltf" &&
+            extension != ".glb")
+            continue;
+        try {
+            compare(test_scene(entry.path().filename(), load_scene(entry.path()).bundle), 2000);
+            ++loaded;
+        } catch (const UserError& refused) {
+            std::cout << refused.what() << "\n";
+        }
+    }
+    EXPECT_GT(loaded, 5);
+}
+
+/// Rays from inside a closed surface to its edges and vertices: one that gets out has slipped
+/// between two triangles.
+void expect_watertight(const TestScene& scene, std::uint32_t seed, int count) {
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    const Mesh& mesh = scene.meshes[0];
+    Random random(seed);
+    std::vector<Ray> rays;
+    for (int i = 0; i < count; ++i) {
+        const uvec3& v = mesh.triangles[random() % mesh.triangles.size()];
+        const vec3 &a = mesh.positions[v.x], &b = mesh.positions[v.y];
+        const vec3 target = i % 4 == 0 ? a : a + uniform(random, 0, 1) * (b - a);
+        const vec3 org = 0.5f * uniform_point(random, {vec3(-0.5f), vec3(0.5f)});
+        const mat4& m = scene.instances[0].world_from_object;
+        rays.push_back({vec3(m * vec4(org, 1)), 0, vec3(m * vec4(target - org, 0)), infinity});
+    }
+    std::vector<std::uint8_t> blocked(rays.size());
+    tracer->occluded(rays, blocked);
+    EXPECT_EQ(std::ranges::count(blocked, 0), 0) << scene.name;
+}
+
+TEST(Tracer, ClosedSurfacesDoNotLeak) {
+    expect_watertight(scene_of("sphere", sphere_mesh(40, 53, 1)), 21, 500000);
+    expect_watertight(scene_of("coarse", sphere_mesh(5, 7, 1)), 22, 250000);
+    Mesh box;
+    add_box(box, {vec3(-1), vec3(1)});
+    expect_watertight(scene_of("box", box), 23, 250000);
+    const mat4 turned = scale(rotate(mat4(1), 0.9f, vec3(1, 2, 3)), vec3(2, -1, 0.7f));
+    expect_watertight({"turned", {sphere_mesh(40, 53, 1)}, {{0, turned}}}, 24, 250000);
+}
+
+TEST(Tracer, NanRaysAndEmptySegmentsHitNothing) {
+    const TestScene scene = scene_of("room", room_mesh());
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
+    const float nan = std::numeric_limits<float>::quiet_NaN();
+    const vec3 centre = tracer->bounds().centre();
+    for (const Ray& ray :
+         {Ray{vec3(nan), 0, vec3(1, 0, 0), infinity}, Ray{centre, 0, vec3(nan, 0, 1), infinity},
+          Ray{centre, 0, vec3(0), infinity}, Ray{centre, 5, vec3(1, 0, 0), 4},
+          Ray{centre, 0, vec3(1, 0, 0), nan}}) {
+        EXPECT_FALSE(tracer->closest_hit(ray).valid());
+        EXPECT_FALSE(tracer->occluded(ray));
+    }
+}
+
+/// The interval is open: a hit at tmin or tmax exactly is none.
+TEST(Tracer, HitsLieStrictlyInsideTheSegment) {
+    Mesh mesh;
+    add_triangle(mesh, vec3(-1, -1, 2), vec3(1, -1, 2), vec3(0, 1, 2));
+    for (const TracerKind kind : {TracerKind::kdtree, TracerKind::embree}) {
+        const auto tracer =
+            build_tracer(kind, {{mesh.positions, mesh.triangles}}, {{0, mat4(1)}}, 1);
+        const auto hits = [&](float tmin, float tmax) {
+            return tracer->closest_hit({vec3(0), tmin, vec3(0, 0, 1), tmax}).valid();
+        };
+        EXPECT_TRUE(hits(0, 2.0001f));
+        EXPECT_FALSE(hits(0, 2));
+        EXPECT_TRUE(hits(1.9999f, 3));
+        EXPECT_FALSE(hits(2, 3));
+    }
+}
+
+TEST(Tracer, OfEqualHitsTheLowestInstanceAndTriangleWins) {
+    Mesh mesh;
+    for (int i = 0; i < 5; ++i) add_triangle(mesh, vec3(-1, -1, 2), vec3(1, -1, 2), vec3(0, 1, 2));
+    const std::vector<TracerInstance> instances(3, TracerInstance{0, mat4(1)});
+    const auto tracer =
+        build_tracer(TracerKind::kdtree, {{mesh.positions, mesh.triangles}}, instances, 1);
+    const Hit hit = tracer->closest_hit({vec3(0), 0, vec3(0, 0, 1), infinity});
+    EXPECT_EQ(hit.instance, 0u);
+    EXPECT_EQ(hit.triangle, 0u);
+    EXPECT_EQ(hit.t, 2);
+    // Weights of the second and third vertex lead back to the point.
+    const vec3 p = (1 - hit.u - hit.v) * mesh.positions[0] + hit.u * mesh.positions[1] +
+                   hit.v * mesh.positions[2];
+    EXPECT_LT(length(p - vec3(0, 0, 2)), 1e-6f);
+}
+
+/// As many instances as a forest has trees.
+TEST(Tracer, TracesThousandsOfInstances) {
+    TestScene scene{"forest", {sphere_mesh(6, 7, 0.5f)}, {}};
+    Random random(8);
+    for (int i = 0; i < 28000; ++i)
+        scene.instances.push_back(
+            {0, translate(mat4(1), uniform_point(random, {vec3(0), vec3(170, 1, 170)}))});
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, tracer->bounds(), 4);
+    compare_with_embree(scene, 2000);
+    for (int i = 0; i < 10; ++i) {
+        const Ray ray = maker.ray(i % RayMaker::kinds);
+        EXPECT_EQ(tracer->closest_hit(ray), brute_force(scene, ray));
+    }
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,105 @@
+// tessera-worker: renders tiles for a server.
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <csignal>
+#include <cstdlib>
+#include <thread>
+
+#include "common/check.h"
+#include "common/log.h"
+#include "common/process.h"
+#include "worker/worker.h"
+
+namespace {
+
+using namespace tessera;
+
+struct Options {
+    std::string server;
+    unsigned threads = std::max(std::thread::hardware_concurrency(), 1u);
+    std::string name;
+    unsigned attempts = 0;
+    std::string log = "info";
+    bool exit_with_parent = false;
+};
+
+std::string default_name() {
+    char host[256] = "worker";
+    gethostname(host, sizeof host - 1);
+    return fmt::format("{}/{}", host, getpid());
+}
+
+void declare(CLI::App& app, Options& options) {
+    app.set_version_flag("--version", TESSERA_VERSION);
+    app.add_option("--server", options.server, "Where tessera-server listens, HOST:PORT")
+        ->required();
+    app.add_option("--threads", options.threads, "Render threads")
+        ->check(CLI::Range(1u, 4096u))
+        ->capture_default_str();
+    app.add_option("--name", options.name,
+                   "How the server's status calls this worker (default: host/process)");
+    app.add_option("--attempts", options.attempts,
+                   "Attempts to connect in a row before giving up (0: never gives up)")
+        ->capture_default_str();
+    app.add_option("--log", options.log, "Least level that is logged")
+        ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
+        ->capture_default_str();
+    app.add_flag("--exit-with-parent", options.exit_with_parent,
+                 "End when the process that started this one ends");
+    app.footer(
+        "The environment variable TESSERA_TOKEN holds the server's token, if it asks for one.");
+}
+
+WorkerConfig config_of(const Options& options) {
+    const char* token = std::getenv("TESSERA_TOKEN");
+    WorkerConfig config{.server = parse_address(options.server),
+                        .threads = options.threads,
+                        .name = options.name.empty() ? default_name() : options.name,
+                        .token = token ? token : "",
+                        .attempts = std::nullopt};
+    if (options.attempts > 0) config.attempts = options.attempts;
+    return config;
+}
+
+/// Serves until a signal ends it or the worker gives up, which throws.
+void serve(const WorkerConfig& config) {
+    asio::io_context io(1);
+    Worker worker(config);
+    asio::signal_set signals(io, SIGINT, SIGTERM);
+    signals.async_wait([&](const boost::system::error_code& error, int) {
+        if (error) return;
+        spdlog::info("stops");
+        signals.clear();  // a second signal ends the process at once
+        io.stop();
+    });
+    std::exception_ptr failure;
+    asio::co_spawn(io, worker.run(), [&](std::exception_ptr error) {
+        failure = error;
+        io.stop();
+    });
+    io.run();
+    if (failure) std::rethrow_exception(failure);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    CLI::App app("Renders tiles for a tessera-server.", "tessera-worker");
+    Options options;
+    declare(app, options);
+    CLI11_PARSE(app, argc, argv);
+    if (options.exit_with_parent) end_with_parent();
+    start_log("tessera-worker", options.log);
+    try {
+        serve(config_of(options));
+        return EXIT_SUCCESS;
+    } catch (const UserError& error) {
+        spdlog::error("{}", error.what());
+    } catch (const std::exception& error) {
+        spdlog::error("unexpected: {}", error.what());
+    }
+    return EXIT_FAILURE;
+}

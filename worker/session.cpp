@@ -1,0 +1,245 @@
+#include "worker/session.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "common/log.h"
+
+namespace tessera {
+namespace {
+
+/// Tasks that may wait for render threads: far more than any server prefetches.
+constexpr std::size_t max_tasks = 16384;
+/// Frames that may be in flight at once.
+constexpr std::size_t max_frames = 256;
+/// Versions of a scene kept: the newest, and the one that frames still in flight may ask for.
+constexpr std::size_t kept_versions = 2;
+
+/// Runs `work`; returns what went wrong, or nothing.
+template <class Work>
+std::string error_of(Work work) {
+    try {
+        work();
+        return {};
+    } catch (const std::exception& error) {
+        return error.what();
+    }
+}
+
+}  // namespace
+
+WorkerPools::WorkerPools(unsigned render_threads)
+    : render(render_threads, max_tasks), scenes(1, max_frames), frames(1, 2 * max_frames) {}
+
+Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads)
+    : connection_(std::move(connection)),
+      executor_(connection_->executor()),
+      pools_(pools),
+      build_threads_(build_threads) {}
+
+Session::~Session() {
+    connection_->close();
+    for (const auto& [number, frame] : frames_) frame->ended = true;
+}
+
+asio::awaitable<void> Session::run() {
+    for (;;) handle(co_await connection_->receive());
+}
+
+void Session::handle(const Message& message) {
+    if (const auto* chunk = message.get<BlobChunk>()) {
+        receiver_.add(*chunk, message.payload.bytes);
+        return build_next_scene();
+    }
+    std::visit(
+        [this](const auto& body) {
+            if constexpr (requires { this->on(body); })
+                on(body);
+            else
+                throw ProtocolError("sends a message that is not for workers");
+        },
+        message.body);
+}
+
+template <class Work, class Done>
+void Session::run_in(ThreadPool& pool, Work work, Done done) {
+    auto job = [weak = weak_from_this(), executor = executor_, work = std::move(work),
+                done = std::move(done)] {
+        auto result = work();
+        asio::post(executor, [weak, done, result = std::move(result)]() mutable {
+            const auto self = weak.lock();
+            if (!self) return;
+            try {
+                done(*self, std::move(result));
+            } catch (const ProtocolError& error) {
+                self->connection_->close_for(error.what());
+            }
+        });
+    };
+    if (!pool.try_post(std::move(job))) throw ProtocolError("hands out more work than can wait");
+}
+
+// ---- Scenes -------------------------------------------------------------------------------------
+
+void Session::on(const SceneUpdate& update) {
+    connection_->send({receiver_.update(update), {}});
+    build_next_scene();
+}
+
+/// Versions that come faster than they can be built are left out: `receiver_` knows the newest.
+void Session::build_next_scene() {
+    if (building_) return;
+    const auto scene = receiver_.take_ready();
+    if (!scene) return;
+    building_ = true;
+    struct Built {
+        std::shared_ptr<Renderer> renderer;
+        std::string error;
+    };
+    run_in(
+        pools_.scenes,
+        [scene = *scene, threads = int(build_threads_)] {
+            Built built;
+            built.error = error_of([&] {
+                built.renderer = std::make_shared<Renderer>(scene.scene->scene, scene.blobs,
+                                                            RendererConfig{.threads = threads});
+            });
+            return built;
+        },
+        [scene = *scene](Session& self, Built built) {
+            self.scene_built(scene, std::move(built.renderer), built.error);
+        });
+}
+
+void Session::scene_built(const ReadyScene& scene, std::shared_ptr<Renderer> renderer,
+                          const std::string& error) {
+    building_ = false;
+    const std::uint64_t version = scene.scene->version;
+    if (!error.empty()) {
+        fail(0, fmt::format("scene '{}' version {}: {}", scene.name, version, error));
+    } else if (receiver_.find(scene.name)) {
+        report_ready(scene.name, version, *renderer);
+        std::deque<BuiltVersion>& versions = renderers_[scene.name];
+        versions.push_back({version, std::move(renderer)});
+        if (versions.size() > kept_versions) versions.pop_front();
+    }
+    build_next_scene();
+}
+
+void Session::report_ready(const std::string& scene, std::uint64_t version,
+                           const Renderer& renderer) {
+    spdlog::info("scene '{}' version {} is ready, {:.2f} s spent building", scene, version,
+                 renderer.build_seconds());
+    connection_->send({SceneReady{.scene = scene,
+                                  .version = version,
+                                  .build_seconds = renderer.build_seconds(),
+                                  .modelled = renderer.plan().modelled,
+                                  .left_out = renderer.plan().left_out},
+                       {}});
+}
+
+void Session::on(const SceneDrop& drop) {
+    receiver_.drop(drop.scene);
+    renderers_.erase(drop.scene);
+}
+
+std::shared_ptr<Renderer> Session::find_renderer(const std::string& scene,
+                                                 std::uint64_t version) const {
+    const auto it = renderers_.find(scene);
+    if (it == renderers_.end()) return nullptr;
+    const auto built = std::find_if(it->second.rbegin(), it->second.rend(),
+                                    [&](const BuiltVersion& b) { return b.version == version; });
+    return built == it->second.rend() ? nullptr : built->renderer;
+}
+
+// ---- Frames -------------------------------------------------------------------------------------
+
+void Session::on(const FrameBegin& begin) {
+    const FrameSpec& spec = begin.spec;
+    if (frames_.size() >= max_frames) throw ProtocolError("begins more frames than it ends");
+    if (frames_.contains(spec.frame))
+        throw ProtocolError(fmt::format("begins frame {} twice", spec.frame));
+    const auto renderer = find_renderer(spec.scene, spec.version);
+    if (!renderer)
+        return fail(spec.frame,
+                    fmt::format("scene '{}' version {} is not held", spec.scene, spec.version));
+    const auto frame = std::make_shared<Frame>();
+    frame->spec = spec;
+    frame->renderer = renderer;
+    frames_[spec.frame] = frame;
+    run_in(
+        pools_.frames,
+        [frame] {
+            return frame->ended ? std::string()
+                                : error_of([&] { frame->renderer->begin_frame(frame->spec); });
+        },
+        [frame, built_before = frame->renderer->build_seconds()](Session& self,
+                                                                 const std::string& error) {
+            if (frame->renderer->build_seconds() != built_before)
+                self.report_ready(frame->spec.scene, frame->spec.version, *frame->renderer);
+            self.frame_ready(frame, error);
+        });
+}
+
+void Session::frame_ready(const std::shared_ptr<Frame>& frame, const std::string& error) {
+    if (frame->ended) return;
+    if (!error.empty()) {
+        frames_.erase(frame->spec.frame);
+        return fail(frame->spec.frame, error);
+    }
+    frame->ready = true;
+    for (const TileTask& task : std::exchange(frame->waiting, {})) render(frame, task);
+}
+
+void Session::on(const FrameEnd& end) {
+    const auto it = frames_.find(end.frame);
+    if (it == frames_.end()) return;
+    const std::shared_ptr<Frame> frame = it->second;
+    frames_.erase(it);
+    frame->ended = true;
+    run_in(
+        pools_.frames,
+        [frame] {
+            frame->renderer->end_frame(frame->spec.frame);
+            return true;
+        },
+        [](Session&, bool) {});
+}
+
+void Session::on(const TileTask& task) {
+    const auto it = frames_.find(task.frame);
+    if (it == frames_.end()) {
+        spdlog::debug("ignores tile {} of frame {}, which is not begun", task.tile, task.frame);
+        return;
+    }
+    const std::shared_ptr<Frame>& frame = it->second;
+    if (task.tile >= tile_count(frame->spec.size))
+        throw ProtocolError(
+            fmt::format("asks for tile {} of {}", task.tile, tile_count(frame->spec.size)));
+    if (frame->ready) return render(frame, task);
+    if (frame->waiting.size() >= max_tasks)
+        throw ProtocolError("hands out more work than can wait");
+    frame->waiting.push_back(task);
+}
+
+void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) {
+    run_in(
+        pools_.render,
+        [frame, task] { return frame->ended ? std::nullopt : frame->renderer->render(task); },
+        [frame](Session& self, std::optional<TileResult> result) {
+            // In the bulk lane, so that answers to pings pass the pixels.
+            if (result && !frame->ended) self.connection_->send_bulk({std::move(*result), {}});
+        });
+}
+
+void Session::on(const Ping& ping) { connection_->send({Pong{ping.stamp}, {}}); }
+
+void Session::fail(std::uint64_t frame, const std::string& reason) {
+    spdlog::warn("frame {}: {}", frame, reason);
+    connection_->send({Failure{.request = frame, .reason = reason}, {}});
+}
+
+}  // namespace tessera

@@ -1,0 +1,91 @@
+// What a worker does for one server while their connection lasts: keeps scenes, begins and ends
+// frames, hands tasks to the render threads and streams results back in the order they get done.
+//
+// One network thread owns all of this state and never renders or builds (Wald, "Realtime Ray
+// Tracing and Interactive Global Illumination", 2004, 8.2.5): jobs run in the pools and post what
+// they made back to it.
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/connection.h"
+#include "common/scene_sync.h"
+#include "worker/renderer.h"
+#include "worker/thread_pool.h"
+
+namespace tessera {
+
+/// The threads that work for a session; they outlive it. Their queues are bounded: a server that
+/// fills one breaks the protocol.
+struct WorkerPools {
+    ThreadPool render;
+    ThreadPool scenes;  ///< one thread: builds scenes one after the other
+    ThreadPool frames;  ///< one thread: begins and ends frames in order
+
+    explicit WorkerPools(unsigned render_threads);
+};
+
+class Session : public std::enable_shared_from_this<Session> {
+public:
+    /// `build_threads`: for building a scene.
+    Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads);
+    ~Session();
+
+    /// Serves until the connection ends; throws what Connection::receive throws.
+    asio::awaitable<void> run();
+
+private:
+    struct BuiltVersion {
+        std::uint64_t version = 0;
+        std::shared_ptr<Renderer> renderer;
+    };
+
+    /// A frame begun by the server. Jobs share it; only `ended` changes under them.
+    struct Frame {
+        FrameSpec spec;
+        std::shared_ptr<Renderer> renderer;
+        std::atomic<bool> ended = false;
+        bool ready = false;             ///< the renderer has begun it
+        std::vector<TileTask> waiting;  ///< until it is ready
+    };
+
+    void handle(const Message& message);
+    void on(const SceneUpdate& update);
+    void on(const SceneDrop& drop);
+    void on(const FrameBegin& begin);
+    void on(const FrameEnd& end);
+    void on(const TileTask& task);
+    void on(const Ping& ping);
+
+    void build_next_scene();
+    void scene_built(const ReadyScene& scene, std::shared_ptr<Renderer> renderer,
+                     const std::string& error);
+    /// Null when the version is not held.
+    std::shared_ptr<Renderer> find_renderer(const std::string& scene, std::uint64_t version) const;
+    void frame_ready(const std::shared_ptr<Frame>& frame, const std::string& error);
+    void render(const std::shared_ptr<Frame>& frame, const TileTask& task);
+    void report_ready(const std::string& scene, std::uint64_t version, const Renderer& renderer);
+    void fail(std::uint64_t frame, const std::string& reason);
+
+    /// Runs `work` in `pool` and then `done(session, result of work)` on the network thread, unless
+    /// the session is over. Throws ProtocolError when the pool's queue is full.
+    template <class Work, class Done>
+    void run_in(ThreadPool& pool, Work work, Done done);
+
+    std::shared_ptr<Connection> connection_;
+    asio::any_io_executor executor_;
+    WorkerPools& pools_;
+    unsigned build_threads_;
+    SceneReceiver receiver_;
+    bool building_ = false;
+    std::map<std::string, std::deque<BuiltVersion>> renderers_;  ///< by scene, oldest first
+    std::map<std::uint64_t, std::shared_ptr<Frame>> frames_;
+};
+
+}  // namespace tessera

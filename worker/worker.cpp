@@ -1,0 +1,86 @@
+#include "worker/worker.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <random>
+
+#include "common/check.h"
+#include "common/log.h"
+
+namespace tessera {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// A server answers Hello at once.
+constexpr auto handshake_deadline = 10s;
+
+/// The server will never take this worker as it is.
+struct RefusedError : UserError {
+    using UserError::UserError;
+};
+
+asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& config) {
+    connection.send({Hello{.protocol = protocol_version,
+                           .role = Role::worker,
+                           .build = TESSERA_VERSION,
+                           .token = config.token,
+                           .name = config.name,
+                           .threads = config.threads},
+                     {}});
+    const Message answer = co_await connection.receive(handshake_deadline);
+    if (const auto* refused = answer.get<Refused>())
+        throw RefusedError(fmt::format("{} refuses this worker: {}", connection.remote_address(),
+                                       refused->reason));
+    const auto* welcome = answer.get<Welcome>();
+    if (!welcome) throw ProtocolError("answers Hello with neither Welcome nor Refused");
+    spdlog::info("serves {} (version {}) as worker {}", connection.remote_address(), welcome->build,
+                 welcome->peer);
+}
+
+}  // namespace
+
+std::chrono::milliseconds retry_delay(unsigned failures, double u) {
+    const auto longest =
+        std::min<std::chrono::milliseconds>(100ms * (1 << std::min(failures, 6u)), 5s);
+    return std::chrono::milliseconds(std::int64_t(double(longest.count()) * (1 - u / 2)));
+}
+
+asio::awaitable<void> Worker::serve() {
+    const auto connection = co_await connect(config_.server);
+    co_await shake_hands(*connection, config_);
+    failures_ = 0;
+    const auto session = std::make_shared<Session>(connection, pools_, config_.threads);
+    co_await session->run();
+}
+
+asio::awaitable<void> Worker::run() {
+    asio::steady_timer timer(co_await asio::this_coro::executor);
+    std::mt19937 random(std::random_device{}());
+    const std::string server = config_.server.host + ":" + config_.server.port;
+    for (;;) {
+        std::string problem;
+        try {
+            co_await serve();
+        } catch (const RefusedError&) {
+            throw;
+        } catch (const UserError& error) {
+            problem = error.what();
+        } catch (const ProtocolError& error) {
+            problem = fmt::format("{} breaks the protocol: {}", server, error.what());
+        } catch (const boost::system::system_error& error) {
+            problem = fmt::format("{} is lost: {}", server, error.code().message());
+        }
+        ++failures_;
+        if (config_.attempts && failures_ >= *config_.attempts)
+            throw UserError(fmt::format("{}; gave up after {} attempts", problem, failures_));
+        const double u = std::generate_canonical<double, 32>(random);
+        const auto delay = retry_delay(failures_ - 1, u);
+        spdlog::warn("{}; tries again in {} ms", problem, delay.count());
+        timer.expires_after(delay);
+        co_await timer.async_wait(asio::use_awaitable);
+    }
+}
+
+}  // namespace tessera
