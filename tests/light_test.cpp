@@ -7,7 +7,7 @@
 namespace tessera {
 namespace {
 
-class Light_ : public testing::TestWithParam<Integrator> {
+class LightTransport : public testing::TestWithParam<Integrator> {
 protected:
     /// Mean radiance of a small picture.
     vec3 look(const SceneBundle& bundle, const Camera& camera, std::uint32_t passes = 16) const {
@@ -44,7 +44,7 @@ void add_light(SceneBundle& bundle, LightKind kind, const vec3& position, const 
     bundle.scene.lights.push_back(light);
 }
 
-TEST_P(Light_, FurnaceGlowsAsItsGeometricSeries) {
+TEST_P(LightTransport, FurnaceGlowsAsItsGeometricSeries) {
     // In a closed room of one albedo and one emission every radiance is e + a e + a^2 e...
     SceneBundle bundle;
     Material m = lambert(vec3(0.5f, 0.3f, 0));
@@ -57,7 +57,7 @@ TEST_P(Light_, FurnaceGlowsAsItsGeometricSeries) {
     expect_near(look(bundle, camera, 64), vec3(1 / 0.5f, 2 / 0.7f, 3), 0.015f);
 }
 
-TEST_P(Light_, PointLightInASphere) {
+TEST_P(LightTransport, PointLightInASphere) {
     // pbrt's integrator test: Kd = 0.5, I = pi at the centre; one bounce adds half of the light
     // that falls everywhere, so that the radiance is 0.5 + 0.25 + ... = 1.
     SceneBundle bundle;
@@ -72,19 +72,19 @@ TEST_P(Light_, PointLightInASphere) {
     expect_near(look(bundle, camera, 64), vec3(1), 0.01f);
 }
 
-TEST_P(Light_, PlaneUnderAPointLight) {
+TEST_P(LightTransport, PlaneUnderAPointLight) {
     SceneBundle bundle = floor_of(lambert(vec3(0.8f, 0.4f, 0.2f)));
     add_light(bundle, LightKind::point, {0, 2, 0}, {0, 0, -1}, vec3(3));
     expect_near(look(bundle, from_above()), vec3(0.8f, 0.4f, 0.2f) / pi * 3.0f / 4.0f, 1e-3f);
 }
 
-TEST_P(Light_, PlaneUnderADirectionalLight) {
+TEST_P(LightTransport, PlaneUnderADirectionalLight) {
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     add_light(bundle, LightKind::directional, vec3(0), normalize(vec3(0, -1, 1)), vec3(2));
     expect_near(look(bundle, from_above()), vec3(0.5f / pi * 2 * std::sqrt(0.5f)), 1e-3f);
 }
 
-TEST_P(Light_, PlaneUnderASpotLight) {
+TEST_P(LightTransport, PlaneUnderASpotLight) {
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     add_light(bundle, LightKind::spot, {0, 2, 0}, {0, -1, 0}, vec3(8));
     bundle.scene.lights[0].inner_angle = 0.1f;
@@ -98,7 +98,7 @@ TEST_P(Light_, PlaneUnderASpotLight) {
     EXPECT_EQ(look(bundle, from_above()), vec3(0));
 }
 
-TEST_P(Light_, PlaneUnderASquareLamp) {
+TEST_P(LightTransport, PlaneUnderASquareLamp) {
     // Configuration factor of a parallel rectangle over one of its corners, four times.
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     add_shape(bundle, square(1, 2, false), emitter(vec3(4, 2, 1)));
@@ -108,7 +108,7 @@ TEST_P(Light_, PlaneUnderASquareLamp) {
     expect_near(look(bundle, from_above(), 64), factor * 0.5f * vec3(4, 2, 1), 0.01f);
 }
 
-TEST_P(Light_, LampsShineFromTheirFrontUnlessTwoSided) {
+TEST_P(LightTransport, LampsShineFromTheirFrontUnlessTwoSided) {
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     Material lamp = emitter(vec3(4));
     add_shape(bundle, square(1, 2, true), lamp);
@@ -123,7 +123,7 @@ TEST_P(Light_, LampsShineFromTheirFrontUnlessTwoSided) {
     EXPECT_GT(look(bundle, from_above(3)).x, 3.9f);
 }
 
-TEST_P(Light_, MirrorsReflect) {
+TEST_P(LightTransport, MirrorsReflect) {
     Material mirror = lambert(vec3(0.9f, 0.5f, 0.1f));
     mirror.metallic = 1;
     mirror.roughness = 0;
@@ -135,7 +135,7 @@ TEST_P(Light_, MirrorsReflect) {
     EXPECT_LT(look(bundle, from_above()).x, 1.75f);
 }
 
-TEST_P(Light_, MirrorsFacingEachOtherEnd) {
+TEST_P(LightTransport, MirrorsFacingEachOtherEnd) {
     Material mirror = lambert(vec3(1));
     mirror.metallic = 1;
     mirror.roughness = 0;
@@ -145,7 +145,7 @@ TEST_P(Light_, MirrorsFacingEachOtherEnd) {
     EXPECT_EQ(look(bundle, from_above()), vec3(0));
 }
 
-TEST_P(Light_, TexturesScaleTheAlbedo) {
+TEST_P(LightTransport, TexturesScaleTheAlbedo) {
     SceneBundle bundle;
     Material m = lambert(vec3(1, 1, 0.5f));
     m.base_color_map.texture =
@@ -155,12 +155,12 @@ TEST_P(Light_, TexturesScaleTheAlbedo) {
     expect_near(look(bundle, from_above()), vec3(0.5029f, 0, 0.5f), 2e-3f);
 }
 
-TEST_P(Light_, WithoutLightAllIsBlack) {
+TEST_P(LightTransport, WithoutLightAllIsBlack) {
     EXPECT_EQ(look(floor_of(lambert(vec3(0.5f))), from_above()), vec3(0));
     EXPECT_EQ(look(SceneBundle{}, from_above()), vec3(0));
 }
 
-TEST_P(Light_, BouncesAreLimited) {
+TEST_P(LightTransport, BouncesAreLimited) {
     SceneBundle bundle;
     add_shape(bundle, room(vec3(-1), vec3(1)), lambert(vec3(0.5f)));
     add_light(bundle, LightKind::point, vec3(0), {0, -1, 0}, vec3(pi));
@@ -186,7 +186,7 @@ TEST_P(Light_, BouncesAreLimited) {
     EXPECT_NEAR((means[3] - means[2]) / (means[2] - means[1]), 1, 0.15f);
 }
 
-TEST_P(Light_, DegenerateInputGivesFinitePictures) {
+TEST_P(LightTransport, DegenerateInputGivesFinitePictures) {
     SceneBundle bundle = floor_of(lambert(vec3(5)));
     Mesh broken = square(1, 0.5f, false);
     broken.positions.insert(broken.positions.end(), {vec3(NAN), vec3(infinity), vec3(0)});
@@ -213,7 +213,7 @@ TEST_P(Light_, DegenerateInputGivesFinitePictures) {
     }
 }
 
-INSTANTIATE_TEST_SUITE_P(Both, Light_, testing::Values(Integrator::path, Integrator::igi),
+INSTANTIATE_TEST_SUITE_P(Both, LightTransport, testing::Values(Integrator::path, Integrator::igi),
                          [](const auto& i) { return i.param == Integrator::igi ? "igi" : "path"; });
 
 TEST(TextureLookup, StartsAtTheTopLeftAndWraps) {

@@ -12,7 +12,6 @@
 #include "tests/render_fixture.h"
 #include "worker/bsdf.h"
 #include "worker/lights.h"
-#include "worker/ray_offset.h"
 
 namespace tessera {
 namespace {
