@@ -20,9 +20,14 @@ struct ShadowBatch {
         pixels.push_back(pixel);
         irradiance.push_back(e);
     }
-    void trace(const Tracer& tracer) {
+    /// Adds what is free to `sum` of its pixel. Returns the number of rays traced.
+    std::uint64_t trace(const Tracer& tracer, std::span<PixelSample> samples,
+                        vec3 PixelSample::*sum) {
         blocked.resize(rays.size());
         tracer.occluded(rays, blocked);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            if (!blocked[i]) samples[pixels[i]].*sum += irradiance[i];
+        return rays.size();
     }
 };
 
@@ -77,6 +82,19 @@ void sample_direct(const World& world, const SurfacePoint& s, std::uint32_t pixe
               albedo * chosen.irradiance * (total / (chosen_weight * direct_candidates)));
 }
 
+/// Adds the shadow ray to one VPL of all sets, in place of a whole set; `albedo` scales what it
+/// brings.
+void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint& s,
+                std::uint32_t pixel, const vec3& albedo, Sampler& sampler, ShadowBatch& batch) {
+    if (sets.vpls.empty()) return;
+    const auto count = std::uint32_t(sets.vpls.size());
+    const auto chosen = std::min(std::uint32_t(sampler.next().x * float(count)), count - 1);
+    const std::uint32_t per_set = count / (config.interleave * config.interleave);
+    const Vpl& vpl = sets.vpls[chosen];
+    const vec3 e = albedo * float(per_set) * irradiance(s, vpl, config.max_geometry);
+    if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
+}
+
 }  // namespace
 
 std::uint64_t gather_direct(const World& world, const TilePass& tile,
@@ -86,10 +104,7 @@ std::uint64_t gather_direct(const World& world, const TilePass& tile,
         Sampler sampler = tile.sampler(r.pixel, 1);
         sample_direct(world, r.surface, r.pixel, vec3(1), sampler, batch);
     }
-    batch.trace(world.tracer);
-    for (std::size_t i = 0; i < batch.rays.size(); ++i)
-        if (!batch.blocked[i]) pixels[batch.pixels[i]].direct += batch.irradiance[i];
-    return batch.rays.size();
+    return batch.trace(world.tracer, pixels, &PixelSample::direct);
 }
 
 std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,
@@ -111,10 +126,7 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
             }
         }
     }
-    batch.trace(world.tracer);
-    for (std::size_t i = 0; i < batch.rays.size(); ++i)
-        if (!batch.blocked[i]) pixels[batch.pixels[i]].indirect += batch.irradiance[i];
-    return batch.rays.size();
+    return batch.trace(world.tracer, pixels, &PixelSample::indirect);
 }
 
 std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
@@ -147,18 +159,9 @@ std::uint64_t gather_compensation(const World& world, const TilePass& tile, cons
         const std::uint32_t pixel = senders[i]->pixel;
         Sampler sampler = tile.sampler(pixel, 3);
         sample_direct(world, s, pixel, share, sampler, batch);
-        if (sets.vpls.empty() || config.bounces < 2) continue;
-        const auto count = std::uint32_t(sets.vpls.size());
-        const auto chosen = std::min(std::uint32_t(sampler.next().x * float(count)), count - 1);
-        const std::uint32_t per_set = count / (config.interleave * config.interleave);
-        const Vpl& vpl = sets.vpls[chosen];
-        const vec3 e = share * float(per_set) * irradiance(s, vpl, config.max_geometry);
-        if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
+        if (config.bounces >= 2) sample_vpl(sets, config, s, pixel, share, sampler, batch);
     }
-    batch.trace(world.tracer);
-    for (std::size_t i = 0; i < batch.rays.size(); ++i)
-        if (!batch.blocked[i]) pixels[batch.pixels[i]].indirect += batch.irradiance[i];
-    return rays.size() + batch.rays.size();
+    return rays.size() + batch.trace(world.tracer, pixels, &PixelSample::indirect);
 }
 
 }  // namespace tessera

@@ -109,13 +109,13 @@ std::optional<LightSample> Lights::sample_triangle_light(const TriangleLight& li
     LightSample s;
     s.distance = std::sqrt(distance_squared);
     s.wi = to / s.distance;
-    s.cosine = -dot(t.ng, s.wi);
-    const bool front = s.cosine > 0;
-    if (light.two_sided) s.cosine = std::abs(s.cosine);
-    if (!(distance_squared > 0 && s.cosine > 0)) return {};
+    const float front_cosine = -dot(t.ng, s.wi);
+    const bool front = front_cosine > 0;
+    const float cosine = light.two_sided ? std::abs(front_cosine) : front_cosine;
+    if (!(distance_squared > 0 && cosine > 0)) return {};
     s.end = front ? point + light.off_front : point - light.off_front;
     s.radiance = radiance(light, b);
-    s.pdf = probability * distance_squared / (light.area * s.cosine);
+    s.pdf = probability * distance_squared / (light.area * cosine);
     return s;
 }
 
@@ -147,7 +147,7 @@ float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const
     const auto light = std::lower_bound(
         begin, end, hit.triangle,
         [](const TriangleLight& l, std::uint32_t triangle) { return l.triangle < triangle; });
-    if (light == end || light->triangle != hit.triangle) return 0;
+    if (empty() || light == end || light->triangle != hit.triangle) return 0;
     const vec3 to = s.p - from;
     const float cosine = std::abs(dot(s.ng, s.wo));
     return choice_.probability(std::uint32_t(light - triangles_.begin())) * dot(to, to) /

@@ -16,7 +16,6 @@ struct LightSample {
     vec3 wi{0};                 ///< unit, from the receiver
     float distance = infinity;  ///< along wi
     vec3 end{0};                ///< beside the point that emits; unused when distance is infinite
-    float cosine = 1;           ///< at the light; 1 for punctual lights
     vec3 radiance{0};           ///< punctual lights: irradiance across wi
     float pdf = 0;              ///< per solid angle; punctual lights: probability of the light
     bool punctual = false;
