@@ -20,9 +20,14 @@ struct ShadowBatch {
         pixels.push_back(pixel);
         irradiance.push_back(e);
     }
-    void trace(const Tracer& tracer) {
+    /// Adds what is free to `sum` of its pixel. Returns the number of rays traced.
+    std::uint64_t trace(const Tracer& tracer, std::span<PixelSample> samples,
+                        vec3 PixelSample::*sum) {
         blocked.resize(rays.size());
         tracer.occluded(rays, blocked);
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            if (!blocked[i]) samples[pixels[i]].*sum += irradiance[i];
+        return rays.size();
     }
 };
 
@@ -48,8 +53,9 @@ DirectSample direct_candidate(const World& world, const SurfacePoint& s, std::ui
     return {*light, light->radiance * (cosine / light->pdf)};
 }
 
-void sample_direct(const World& world, const Receiver& receiver, Sampler sampler,
-                   ShadowBatch& batch) {
+/// Adds the shadow ray to one point on a light; `albedo` scales what it brings.
+void sample_direct(const World& world, const SurfacePoint& s, std::uint32_t pixel,
+                   const vec3& albedo, Sampler& sampler, ShadowBatch& batch) {
     const vec2 u_choice = sampler.next();
     const vec2 u_place = sampler.next();
     DirectSample chosen;
@@ -57,7 +63,7 @@ void sample_direct(const World& world, const Receiver& receiver, Sampler sampler
     float total = 0;
     float u = u_choice.y;
     for (std::uint32_t i = 0; i < direct_candidates; ++i) {
-        const DirectSample c = direct_candidate(world, receiver.surface, i, u_choice.x, u_place);
+        const DirectSample c = direct_candidate(world, s, i, u_choice.x, u_place);
         const float weight = mean_component(c.irradiance);
         if (!(weight > 0) || !std::isfinite(weight)) continue;
         // Reservoir of one, with the same random number stretched again after each decision.
@@ -72,8 +78,21 @@ void sample_direct(const World& world, const Receiver& receiver, Sampler sampler
         }
     }
     if (total <= 0) return;
-    batch.add(shadow_ray(receiver.surface, chosen.light), receiver.pixel,
-              chosen.irradiance * (total / (chosen_weight * direct_candidates)));
+    batch.add(shadow_ray(s, chosen.light), pixel,
+              albedo * chosen.irradiance * (total / (chosen_weight * direct_candidates)));
+}
+
+/// Adds the shadow ray to one VPL of all sets, in place of a whole set; `albedo` scales what it
+/// brings.
+void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint& s,
+                std::uint32_t pixel, const vec3& albedo, Sampler& sampler, ShadowBatch& batch) {
+    if (sets.vpls.empty()) return;
+    const auto count = std::uint32_t(sets.vpls.size());
+    const auto chosen = std::min(std::uint32_t(sampler.next().x * float(count)), count - 1);
+    const std::uint32_t per_set = count / (config.interleave * config.interleave);
+    const Vpl& vpl = sets.vpls[chosen];
+    const vec3 e = albedo * float(per_set) * irradiance(s, vpl, config.max_geometry);
+    if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
 }
 
 }  // namespace
@@ -81,11 +100,11 @@ void sample_direct(const World& world, const Receiver& receiver, Sampler sampler
 std::uint64_t gather_direct(const World& world, const TilePass& tile,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
     ShadowBatch batch;
-    for (const Receiver& r : receivers) sample_direct(world, r, tile.sampler(r.pixel, 1), batch);
-    batch.trace(world.tracer);
-    for (std::size_t i = 0; i < batch.rays.size(); ++i)
-        if (!batch.blocked[i]) pixels[batch.pixels[i]].direct += batch.irradiance[i];
-    return batch.rays.size();
+    for (const Receiver& r : receivers) {
+        Sampler sampler = tile.sampler(r.pixel, 1);
+        sample_direct(world, r.surface, r.pixel, vec3(1), sampler, batch);
+    }
+    return batch.trace(world.tracer, pixels, &PixelSample::direct);
 }
 
 std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,
@@ -107,10 +126,42 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
             }
         }
     }
-    batch.trace(world.tracer);
-    for (std::size_t i = 0; i < batch.rays.size(); ++i)
-        if (!batch.blocked[i]) pixels[batch.pixels[i]].indirect += batch.irradiance[i];
-    return batch.rays.size();
+    return batch.trace(world.tracer, pixels, &PixelSample::indirect);
+}
+
+std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
+                                  const VplSets& sets, std::span<const Receiver> receivers,
+                                  std::span<PixelSample> pixels) {
+    if (config.bounces < 1 || config.max_geometry == infinity) return 0;
+    // Send rays no farther than the bound can be exceeded.
+    std::vector<Ray> rays;
+    std::vector<const Receiver*> senders;
+    for (const Receiver& r : receivers) {
+        const SurfacePoint& s = r.surface;
+        Sampler sampler = tile.sampler(r.pixel, 2);
+        const vec3 dir = Frame(s.n).world_from_local(sample_cosine_hemisphere(sampler.next()));
+        if (!(dot(dir, s.ng) > 0)) continue;
+        rays.push_back({s.org, 0, dir, std::sqrt(dot(dir, s.n) / config.max_geometry)});
+        senders.push_back(&r);
+    }
+    std::vector<Hit> hits(rays.size());
+    world.tracer.closest_hits(rays, hits);
+
+    // Light what they found from one lamp and one VPL.
+    ShadowBatch batch;
+    for (std::size_t i = 0; i < rays.size(); ++i) {
+        if (!hits[i].valid()) continue;
+        const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
+        const float geometry =
+            dot(rays[i].dir, senders[i]->surface.n) * dot(s.ng, s.wo) / (hits[i].t * hits[i].t);
+        const vec3 share = s.bsdf.reflectance * (1 - config.max_geometry / geometry);
+        if (s.bsdf.specular() || !(max_component(share) > 0)) continue;
+        const std::uint32_t pixel = senders[i]->pixel;
+        Sampler sampler = tile.sampler(pixel, 3);
+        sample_direct(world, s, pixel, share, sampler, batch);
+        if (config.bounces >= 2) sample_vpl(sets, config, s, pixel, share, sampler, batch);
+    }
+    return rays.size() + batch.trace(world.tracer, pixels, &PixelSample::indirect);
 }
 
 }  // namespace tessera

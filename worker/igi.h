@@ -3,8 +3,10 @@
 // sets of virtual point lights (Keller and Heidrich, "Interleaved Sampling", 2001); the
 // discontinuity filter then averages over neighbours, which used the other sets.
 //
-// We differ in taking light straight from lamps apart from the VPLs: one point on one light per
-// pixel and pass, chosen among candidates by what they would contribute (Talbot, Cline and Egbert,
+// We differ in compensating for the bound of the geometry term (Kollig and Keller, "Illumination in
+// the Presence of Weak Singularities", 2004), exactly but for bounds inside the compensation, and
+// in taking light straight from lamps apart from the VPLs: one point on one light per pixel and
+// pass, chosen among candidates by what they would contribute (Talbot, Cline and Egbert,
 // "Importance Resampling for Global Illumination", 2005).
 #pragma once
 
@@ -16,14 +18,21 @@ namespace tessera {
 struct IgiConfig {
     std::uint32_t interleave = 3;
     /// Bound of cos * cos / d^2 between a VPL and a receiver, m^-2: without it VPLs near a surface
-    /// make bright spots (Kollig and Keller, "Illumination in the Presence of Weak Singularities",
-    /// 2004).
+    /// make bright spots.
     float max_geometry = infinity;
+    std::uint32_t bounces = 64;
 };
 
 /// Adds direct irradiance to `pixels`. Returns the number of rays traced.
 std::uint64_t gather_direct(const World& world, const TilePass& tile,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
+
+/// Adds what the bound takes away from gather_indirect(): one short scattered ray per receiver
+/// finds a surface so near that its geometry term exceeds the bound, and adds the excess of its
+/// light. Returns the number of rays traced.
+std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
+                                  const VplSets& sets, std::span<const Receiver> receivers,
+                                  std::span<PixelSample> pixels);
 
 /// Adds indirect irradiance, each pixel from its own set. Returns the number of rays traced.
 std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,

@@ -11,11 +11,6 @@ float shading_correction(const SurfacePoint& s) {
     return std::min(dot(s.n, s.wo) / dot(s.ng, s.wo), most);
 }
 
-struct Candidates {
-    std::vector<Vpl> vpls;
-    std::vector<float> importance;
-};
-
 /// Position on a Morton curve through the cube `bounds`.
 std::uint32_t morton(const vec3& p, const Box& bounds) {
     const vec3 extent = glm::max(bounds.extent(), vec3(1e-20f));
@@ -85,72 +80,77 @@ Distribution choice_among(std::span<const Vpl> vpls, std::span<const float> cont
     return Distribution(chance);
 }
 
+/// A light path under way.
+struct Walk {
+    Sampler sampler;
+    Ray ray;
+    vec3 flux{0};
+    std::uint32_t bounces = 0;
+    std::uint32_t mirrors = 0;
+};
+
+Walk start_walk(const World& world, Sampler sampler) {
+    const float u_light = sampler.next().x;
+    const vec2 u_place = sampler.next();
+    const EmissionSample e = world.lights.sample_emission(u_light, u_place, sampler.next());
+    return {sampler, e.ray, e.flux};
+}
+
+/// Reflects the walk in a mirror; false when it ends.
+bool reflect(const SurfacePoint& s, Walk& walk) {
+    const auto reflected = sample(s.bsdf, s.n, s.wo, vec2(0));
+    if (!reflected || !(dot(reflected->wi, s.ng) > 0)) return false;
+    if (++walk.mirrors > max_mirrors) return false;
+    walk.flux *= reflected->weight;
+    walk.ray = {s.org, 0, reflected->wi, infinity};
+    return true;
+}
+
+/// Leaves a VPL at a diffuse surface and scatters the walk there; false when it ends.
+bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vector<Vpl>& vpls) {
+    if (walk.bounces++ >= bounces) return false;
+    const vec3 leaving = walk.flux * s.bsdf.reflectance * shading_correction(s);
+    if (!(max_component(leaving) > 0) || !is_finite(leaving)) return false;
+    vpls.push_back({s.org, s.ng, leaving / pi});
+    const float survival = std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
+    const vec2 u_dir = walk.sampler.next();
+    if (!(walk.sampler.next().x < survival)) return false;
+    walk.flux = leaving / survival;
+    walk.mirrors = 0;
+    walk.ray = {s.org, 0, Frame(s.ng).world_from_local(sample_cosine_hemisphere(u_dir)), infinity};
+    return true;
+}
+
 }  // namespace
 
 std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::uint32_t count,
                                   std::uint32_t bounces, std::uint32_t seed,
                                   std::uint64_t& rays_traced) {
-    struct Walk {
-        Sampler sampler;
-        vec3 flux{0};
-        std::uint32_t bounces = 0;
-        std::uint32_t mirrors = 0;
-    };
     std::vector<Vpl> vpls;
-    if (world.lights.empty()) return vpls;
-
-    // Start all paths at lights.
+    if (world.lights.empty() || bounces == 0) return vpls;
     std::vector<Walk> walks;
-    std::vector<Ray> rays;
-    for (std::uint32_t i = 0; i < count; ++i) {
-        Walk walk{Sampler(first + i, seed)};
-        const float u_light = walk.sampler.next().x;
-        const vec2 u_place = walk.sampler.next();
-        const EmissionSample e =
-            world.lights.sample_emission(u_light, u_place, walk.sampler.next());
-        walk.flux = e.flux;
-        walks.push_back(walk);
-        rays.push_back(e.ray);
-    }
+    for (std::uint32_t i = 0; i < count; ++i)
+        walks.push_back(start_walk(world, Sampler(first + i, seed)));
 
-    // Let them all take one step at a time, and leave a VPL at every diffuse surface.
+    // All walks take one step at a time, so that rays are traced in batches.
+    std::vector<Ray> rays;
     std::vector<Hit> hits;
     while (!walks.empty()) {
+        rays.clear();
+        for (const Walk& walk : walks) rays.push_back(walk.ray);
         hits.resize(rays.size());
         world.tracer.closest_hits(rays, hits);
         rays_traced += rays.size();
         std::size_t kept = 0;
-        for (std::size_t i = 0; i < walks.size(); ++i) {
+        for (std::size_t i = 0; i < rays.size(); ++i) {
             if (!hits[i].valid()) continue;
             Walk walk = walks[i];
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
-            const vec3 flux = walk.flux * s.bsdf.reflectance;
-            const vec2 u_dir = walk.sampler.next();
-            const float u_survival = walk.sampler.next().x;
-            vec3 dir;
-            if (s.bsdf.specular()) {
-                const auto reflected = sample(s.bsdf, s.n, s.wo, u_dir);
-                if (!reflected || dot(reflected->wi, s.ng) <= 0) continue;
-                if (++walk.mirrors > max_mirrors) continue;
-                dir = reflected->wi;
-                walk.flux = flux;
-            } else {
-                if (walk.bounces++ >= bounces) continue;
-                const vec3 leaving = flux * shading_correction(s);
-                if (!(max_component(leaving) > 0) || !is_finite(leaving)) continue;
-                vpls.push_back({s.org, s.ng, leaving / pi});
-                const float survival =
-                    std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
-                if (!(u_survival < survival)) continue;
-                dir = Frame(s.ng).world_from_local(sample_cosine_hemisphere(u_dir));
-                walk.flux = leaving / survival;
-                walk.mirrors = 0;
-            }
-            walks[kept] = walk;
-            rays[kept++] = {s.org, 0, dir, infinity};
+            const bool goes_on =
+                s.bsdf.specular() ? reflect(s, walk) : scatter(s, bounces, walk, vpls);
+            if (goes_on) walks[kept++] = walk;
         }
         walks.erase(walks.begin() + std::ptrdiff_t(kept), walks.end());
-        rays.resize(kept);
     }
     return vpls;
 }
@@ -172,7 +172,7 @@ std::uint32_t count_light_paths(const World& world, const VplConfig& config) {
     const std::uint64_t wanted =
         std::uint64_t(candidates_per_vpl) * config.interleave * config.interleave * config.vpls;
     return std::uint32_t(std::clamp<std::uint64_t>(wanted * tried / std::max<std::size_t>(made, 1),
-                                                   1, 64 * wanted + 1));
+                                                   1, 8 * wanted + 1));
 }
 
 VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t pass,

@@ -35,10 +35,10 @@ struct VplConfig {
 };
 
 /// Candidates per VPL taken.
-inline constexpr std::uint32_t candidates_per_vpl = 4;
+inline constexpr std::uint32_t candidates_per_vpl = 8;
 
 /// Light paths per pass that make about candidates_per_vpl * n * n * vpls candidates: found by
-/// walking a fixed number of paths.
+/// walking a fixed number of paths. At most eight paths per candidate, where most light is lost.
 std::uint32_t count_light_paths(const World& world, const VplConfig& config);
 
 /// The sets of one pass: the same on every machine. `pilots` are points that the eye sees.

@@ -57,18 +57,24 @@ void Lights::add_triangles(std::uint32_t instance, std::vector<float>& powers) {
     };
     for (std::uint32_t t = 0; t < surfaces_->triangle_count(instance); ++t) {
         if (!emits(t)) continue;
-        const TriangleLight light{instance, t, surfaces_->material(instance, t).two_sided_emission,
-                                  surfaces_->triangle(instance, t),
-                                  surfaces_->triangle(instance, t).area()};
+        const Material& m = surfaces_->material(instance, t);
+        TriangleLight light{.instance = instance,
+                            .triangle = t,
+                            .two_sided = m.two_sided_emission,
+                            .textured = m.emission_map.texture >= 0,
+                            .shape = surfaces_->triangle(instance, t),
+                            .radiance = mean_emission(*surfaces_, instance, t)};
+        light.area = light.shape.area();
+        light.off_front = light.shape.off_front();
         if (!(light.area > 0) || !std::isfinite(light.area)) continue;
         triangles_.push_back(light);
-        powers.push_back(power(light));
+        powers.push_back(pi * light.area * mean_component(light.radiance) *
+                         (light.two_sided ? 2.0f : 1.0f));
     }
 }
 
-float Lights::power(const TriangleLight& light) const {
-    const vec3 radiance = mean_emission(*surfaces_, light.instance, light.triangle);
-    return pi * light.area * mean_component(radiance) * (light.two_sided ? 2 : 1);
+vec3 Lights::radiance(const TriangleLight& light, const vec2& b) const {
+    return light.textured ? surfaces_->emission(light.instance, light.triangle, b) : light.radiance;
 }
 
 float Lights::power(const Light& light) const {
@@ -103,12 +109,13 @@ std::optional<LightSample> Lights::sample_triangle_light(const TriangleLight& li
     LightSample s;
     s.distance = std::sqrt(distance_squared);
     s.wi = to / s.distance;
-    s.cosine = -dot(t.ng, s.wi);
-    if (light.two_sided) s.cosine = std::abs(s.cosine);
-    if (!(distance_squared > 0 && s.cosine > 0)) return {};
-    s.end = t.beside(point, -s.wi);
-    s.radiance = surfaces_->emission(light.instance, light.triangle, b);
-    s.pdf = probability * distance_squared / (light.area * s.cosine);
+    const float front_cosine = -dot(t.ng, s.wi);
+    const bool front = front_cosine > 0;
+    const float cosine = light.two_sided ? std::abs(front_cosine) : front_cosine;
+    if (!(distance_squared > 0 && cosine > 0)) return {};
+    s.end = front ? point + light.off_front : point - light.off_front;
+    s.radiance = radiance(light, b);
+    s.pdf = probability * distance_squared / (light.area * cosine);
     return s;
 }
 
@@ -140,7 +147,7 @@ float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const
     const auto light = std::lower_bound(
         begin, end, hit.triangle,
         [](const TriangleLight& l, std::uint32_t triangle) { return l.triangle < triangle; });
-    if (light == end || light->triangle != hit.triangle) return 0;
+    if (empty() || light == end || light->triangle != hit.triangle) return 0;
     const vec3 to = s.p - from;
     const float cosine = std::abs(dot(s.ng, s.wo));
     return choice_.probability(std::uint32_t(light - triangles_.begin())) * dot(to, to) /
@@ -163,11 +170,10 @@ EmissionSample Lights::emit_from_triangle(const TriangleLight& light, float u_si
     const WorldTriangle& t = light.shape;
     const vec2 b = sample_triangle(u_place);
     EmissionSample s;
-    const vec3 n = light.two_sided && u_side >= 0.5f ? -t.ng : t.ng;
-    s.ray.org = t.beside(t.point(b), n);
-    s.ray.dir = Frame(n).world_from_local(sample_cosine_hemisphere(u_dir));
-    const vec3 radiance = surfaces_->emission(light.instance, light.triangle, b);
-    s.flux = radiance * pi * light.area * (light.two_sided ? 2.0f : 1.0f);
+    const float side = light.two_sided && u_side >= 0.5f ? -1 : 1;
+    s.ray.org = t.point(b) + side * light.off_front;
+    s.ray.dir = Frame(side * t.ng).world_from_local(sample_cosine_hemisphere(u_dir));
+    s.flux = radiance(light, b) * pi * light.area * (light.two_sided ? 2.0f : 1.0f);
     return s;
 }
 

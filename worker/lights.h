@@ -16,7 +16,6 @@ struct LightSample {
     vec3 wi{0};                 ///< unit, from the receiver
     float distance = infinity;  ///< along wi
     vec3 end{0};                ///< beside the point that emits; unused when distance is infinite
-    float cosine = 1;           ///< at the light; 1 for punctual lights
     vec3 radiance{0};           ///< punctual lights: irradiance across wi
     float pdf = 0;              ///< per solid angle; punctual lights: probability of the light
     bool punctual = false;
@@ -50,8 +49,11 @@ private:
         std::uint32_t instance = 0;
         std::uint32_t triangle = 0;
         bool two_sided = false;
+        bool textured = false;
         WorldTriangle shape;
         float area = 0;
+        vec3 off_front{0};
+        vec3 radiance{0};  ///< mean of the emitting side
     };
 
     void add_triangles(std::uint32_t instance, std::vector<float>& power);
@@ -59,11 +61,11 @@ private:
                                                      float probability, const vec2& u) const;
     std::optional<LightSample> sample_punctual(const Light& light, const vec3& p,
                                                float probability) const;
+    vec3 radiance(const TriangleLight& light, const vec2& b) const;
     EmissionSample emit_from_triangle(const TriangleLight& light, float u_side, const vec2& u_place,
                                       const vec2& u_dir) const;
     EmissionSample emit_from_punctual(const Light& light, const vec2& u_place,
                                       const vec2& u_dir) const;
-    float power(const TriangleLight& light) const;
     float power(const Light& light) const;
 
     const Surfaces* surfaces_;

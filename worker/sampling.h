@@ -136,8 +136,6 @@ public:
 
     /// Whether nothing can be chosen.
     bool empty() const { return cumulative_.empty(); }
-    /// Sum of all weights.
-    double total() const { return total_; }
     /// Call only when not empty; 0 <= u < 1.
     Choice sample(float u) const;
     float probability(std::uint32_t index) const {
@@ -146,22 +144,21 @@ public:
 
 private:
     std::vector<float> cumulative_;  ///< from 0 to 1, one more than there are things
-    double total_ = 0;
 };
 
 inline Distribution::Distribution(std::span<const float> weights) {
     const auto usable = [](float w) { return std::isfinite(w) && w > 0 ? double(w) : 0.0; };
-    for (const float w : weights) total_ += usable(w);
-    if (total_ <= 0) return;
+    double total = 0;
+    for (const float w : weights) total += usable(w);
+    if (total <= 0) return;
     cumulative_.reserve(weights.size() + 1);
     cumulative_.push_back(0);
     double sum = 0;
-    for (const float w : weights) cumulative_.push_back(float((sum += usable(w)) / total_));
+    for (const float w : weights) cumulative_.push_back(float((sum += usable(w)) / total));
 }
 
 inline Distribution::Choice Distribution::sample(float u) const {
-    // The last sum is 1 up to rounding: keep u below it.
-    u = std::min(u, std::nextafter(cumulative_.back(), 0.0f));
+    // The last sum is exactly 1, so that there is always one above u.
     const auto above = std::upper_bound(cumulative_.begin(), cumulative_.end(), u);
     const auto index = std::uint32_t(above - cumulative_.begin() - 1);
     const float p = probability(index);

@@ -118,8 +118,9 @@ WorldTriangle Surfaces::triangle(std::uint32_t instance, std::uint32_t index) co
 
 float WorldTriangle::area() const { return 0.5f * length(cross(p1 - p0, p2 - p0)); }
 
-vec3 WorldTriangle::beside(const vec3& p, const vec3& towards) const {
-    return offset_point(p, ng, towards, std::max({magnitude(p0), magnitude(p1), magnitude(p2)}));
+vec3 WorldTriangle::off_front() const {
+    // Measured from the origin the offset depends on the triangle's largest coordinate alone.
+    return offset_point(vec3(0), ng, ng, std::max({magnitude(p0), magnitude(p1), magnitude(p2)}));
 }
 
 vec2 Surfaces::texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const {
@@ -157,7 +158,7 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     s.wo = -normalize(ray.dir);
     const bool front = dot(t.ng, s.wo) > 0;
     s.ng = front ? t.ng : -t.ng;
-    s.org = t.beside(s.p, s.ng);
+    s.org = front ? s.p + t.off_front() : s.p - t.off_front();
 
     // Shade with the interpolated normal where it faces the viewer as the triangle does.
     s.n = s.ng;

@@ -29,8 +29,9 @@ struct WorldTriangle {
     float area() const;
     /// The point at barycentric weights `b` (second and third vertex).
     vec3 point(const vec2& b) const { return (1 - b.x - b.y) * p0 + b.x * p1 + b.y * p2; }
-    /// `p`, on the triangle, moved off it to the side of `towards`.
-    vec3 beside(const vec3& p, const vec3& towards) const;
+    /// Added to a point of the triangle it moves it off the front, subtracted off the back, so far
+    /// that rays from there do not hit the triangle again.
+    vec3 off_front() const;
 };
 
 /// Meshes, textures and materials of a scene, decoded. Immutable: any number of threads may ask.

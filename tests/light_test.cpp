@@ -1,0 +1,247 @@
+// Pictures whose radiance is known in closed form, by both integrators.
+#include <gtest/gtest.h>
+
+#include "tests/render_fixture.h"
+#include "worker/texture.h"
+
+namespace tessera {
+namespace {
+
+class LightTransport : public testing::TestWithParam<Integrator> {
+protected:
+    /// Mean radiance of a small picture.
+    vec3 look(const SceneBundle& bundle, const Camera& camera, std::uint32_t passes = 16) const {
+        return mean_radiance(bundle, frame_of(GetParam(), {16, 16}, camera, passes));
+    }
+};
+
+void expect_near(const vec3& got, const vec3& wanted, float relative) {
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(got[c], wanted[c], relative * wanted[c] + 1e-6f);
+}
+
+/// Looks straight down at the origin through a very small angle.
+Camera from_above(float height = 1) {
+    Camera camera;
+    camera.eye = {0, height, 0};
+    camera.up = {0, 0, -1};
+    camera.fov_y = 0.5f;
+    return camera;
+}
+
+SceneBundle floor_of(const Material& material) {
+    SceneBundle bundle;
+    add_shape(bundle, square(10, 0), material);
+    return bundle;
+}
+
+void add_light(SceneBundle& bundle, LightKind kind, const vec3& position, const vec3& direction,
+               const vec3& intensity) {
+    Light light;
+    light.kind = kind;
+    light.position = position;
+    light.direction = direction;
+    light.intensity = intensity;
+    bundle.scene.lights.push_back(light);
+}
+
+TEST_P(LightTransport, FurnaceGlowsAsItsGeometricSeries) {
+    // In a closed room of one albedo and one emission every radiance is e + a e + a^2 e...
+    SceneBundle bundle;
+    Material m = lambert(vec3(0.5f, 0.3f, 0));
+    m.emission = vec3(1, 2, 3);
+    add_shape(bundle, room(vec3(-1), vec3(1)), m);
+    Camera camera;
+    camera.eye = {0.3f, 0.1f, 0.2f};
+    camera.at = {-0.4f, -0.3f, 0};
+    camera.fov_y = 120;
+    expect_near(look(bundle, camera, 64), vec3(1 / 0.5f, 2 / 0.7f, 3), 0.015f);
+}
+
+TEST_P(LightTransport, PointLightInASphere) {
+    // pbrt's integrator test: Kd = 0.5, I = pi at the centre; one bounce adds half of the light
+    // that falls everywhere, so that the radiance is 0.5 + 0.25 + ... = 1.
+    SceneBundle bundle;
+    MeshBuilder builder;
+    builder.ball(vec3(0), 1, 96);
+    add_shape(bundle, builder.take(), lambert(vec3(0.5f)));
+    add_light(bundle, LightKind::point, vec3(0), vec3(0, 0, -1), vec3(pi));
+    Camera camera;
+    camera.eye = {0.1f, 0.2f, 0.3f};
+    camera.at = {0.5f, -0.5f, 0.2f};
+    camera.fov_y = 100;
+    expect_near(look(bundle, camera, 64), vec3(1), 0.01f);
+}
+
+TEST_P(LightTransport, PlaneUnderAPointLight) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.8f, 0.4f, 0.2f)));
+    add_light(bundle, LightKind::point, {0, 2, 0}, {0, 0, -1}, vec3(3));
+    expect_near(look(bundle, from_above()), vec3(0.8f, 0.4f, 0.2f) / pi * 3.0f / 4.0f, 1e-3f);
+}
+
+TEST_P(LightTransport, PlaneUnderADirectionalLight) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    add_light(bundle, LightKind::directional, vec3(0), normalize(vec3(0, -1, 1)), vec3(2));
+    expect_near(look(bundle, from_above()), vec3(0.5f / pi * 2 * std::sqrt(0.5f)), 1e-3f);
+}
+
+TEST_P(LightTransport, PlaneUnderASpotLight) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    add_light(bundle, LightKind::spot, {0, 2, 0}, {0, -1, 0}, vec3(8));
+    bundle.scene.lights[0].inner_angle = 0.1f;
+    bundle.scene.lights[0].outer_angle = 0.3f;
+    expect_near(look(bundle, from_above()), vec3(0.5f / pi * 8 / 4), 1e-3f);
+    // Between the angles the falloff of glTF, outside of them nothing.
+    bundle.scene.lights[0].direction = {std::sin(0.2f), -std::cos(0.2f), 0};
+    const float share = (std::cos(0.2f) - std::cos(0.3f)) / (std::cos(0.1f) - std::cos(0.3f));
+    expect_near(look(bundle, from_above()), vec3(share * share * 0.5f / pi * 8 / 4), 0.01f);
+    bundle.scene.lights[0].direction = {std::sin(0.4f), -std::cos(0.4f), 0};
+    EXPECT_EQ(look(bundle, from_above()), vec3(0));
+}
+
+TEST_P(LightTransport, PlaneUnderASquareLamp) {
+    // Configuration factor of a parallel rectangle over one of its corners, four times.
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    add_shape(bundle, square(1, 2, false), emitter(vec3(4, 2, 1)));
+    const float a = 0.5f;  // half side over height
+    const float b = a / std::sqrt(1 + a * a);
+    const float factor = 4 * (2 * b * std::atan(b)) / (2 * pi);
+    expect_near(look(bundle, from_above(), 64), factor * 0.5f * vec3(4, 2, 1), 0.01f);
+}
+
+TEST_P(LightTransport, LampsShineFromTheirFrontUnlessTwoSided) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    Material lamp = emitter(vec3(4));
+    add_shape(bundle, square(1, 2, true), lamp);
+    EXPECT_EQ(look(bundle, from_above()), vec3(0));
+    EXPECT_GT(look(bundle, from_above(3)).x, 3.9f);
+    bundle.scene.materials[1].two_sided_emission = true;
+    EXPECT_GT(look(bundle, from_above()).x, 0.1f);
+    // Mirroring an instance keeps its front.
+    bundle.scene.materials[1].two_sided_emission = false;
+    bundle.scene.instances[1].world_from_object[0][0] = -1;
+    EXPECT_EQ(look(bundle, from_above()), vec3(0));
+    EXPECT_GT(look(bundle, from_above(3)).x, 3.9f);
+}
+
+TEST_P(LightTransport, MirrorsReflect) {
+    Material mirror = lambert(vec3(0.9f, 0.5f, 0.1f));
+    mirror.metallic = 1;
+    mirror.roughness = 0;
+    SceneBundle bundle = floor_of(mirror);
+    add_shape(bundle, square(5, 3, false), emitter(vec3(2)));
+    expect_near(look(bundle, from_above()), 2.0f * vec3(0.9f, 0.5f, 0.1f), 1e-4f);
+    // Rough metal is taken as Lambert, so it shows a share of all the light above it.
+    bundle.scene.materials[0].roughness = 0.5f;
+    EXPECT_LT(look(bundle, from_above()).x, 1.75f);
+}
+
+TEST_P(LightTransport, MirrorsFacingEachOtherEnd) {
+    Material mirror = lambert(vec3(1));
+    mirror.metallic = 1;
+    mirror.roughness = 0;
+    SceneBundle bundle = floor_of(mirror);
+    add_shape(bundle, square(10, 2, false), mirror);
+    add_light(bundle, LightKind::point, {0, 1.5f, 0}, {0, -1, 0}, vec3(1));
+    EXPECT_EQ(look(bundle, from_above()), vec3(0));
+}
+
+TEST_P(LightTransport, TexturesScaleTheAlbedo) {
+    SceneBundle bundle;
+    Material m = lambert(vec3(1, 1, 0.5f));
+    m.base_color_map.texture =
+        std::int32_t(add_texture(bundle, {.width = 1, .height = 1, .rgba = {188, 0, 255, 255}}));
+    add_shape(bundle, square(10, 0), m);
+    add_light(bundle, LightKind::directional, vec3(0), {0, -1, 0}, vec3(pi));
+    expect_near(look(bundle, from_above()), vec3(0.5029f, 0, 0.5f), 2e-3f);
+}
+
+TEST_P(LightTransport, WithoutLightAllIsBlack) {
+    EXPECT_EQ(look(floor_of(lambert(vec3(0.5f))), from_above()), vec3(0));
+    EXPECT_EQ(look(SceneBundle{}, from_above()), vec3(0));
+}
+
+TEST_P(LightTransport, BouncesAreLimited) {
+    SceneBundle bundle;
+    add_shape(bundle, room(vec3(-1), vec3(1)), lambert(vec3(0.5f)));
+    add_light(bundle, LightKind::point, vec3(0), {0, -1, 0}, vec3(pi));
+    Camera camera;
+    camera.eye = {0.3f, 0.1f, 0.2f};
+    camera.at = {-0.4f, -0.3f, 0};
+    camera.fov_y = 90;
+    FrameSpec spec = frame_of(GetParam(), {16, 16}, camera, 32);
+    // Light that was scattered once more is about albedo times as much, never more.
+    std::vector<float> means;
+    for (const std::uint32_t bounces : {0, 1, 2, 64}) {
+        spec.settings.bounces = bounces;
+        means.push_back(mean_radiance(bundle, spec).x);
+    }
+    spec.settings.bounces = 0;
+    spec.extra = spec.extra.with(Channel::indirect);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    for (const TileResult& r : render_all(renderer, spec)) {
+        const std::size_t at = channel_offset(spec, Channel::indirect, 256);
+        for (std::size_t i = 0; i < 3 * 256; ++i) EXPECT_EQ(r.data[at + i], 0);
+    }
+    EXPECT_NEAR((means[2] - means[1]) / (means[1] - means[0]), 0.5f, 0.1f);
+    EXPECT_NEAR((means[3] - means[2]) / (means[2] - means[1]), 1, 0.15f);
+}
+
+TEST_P(LightTransport, DegenerateInputGivesFinitePictures) {
+    SceneBundle bundle = floor_of(lambert(vec3(5)));
+    Mesh broken = square(1, 0.5f, false);
+    broken.positions.insert(broken.positions.end(), {vec3(NAN), vec3(infinity), vec3(0)});
+    const auto first = std::uint32_t(broken.positions.size() - 3);
+    broken.slots.clear();
+    broken.normals.resize(broken.positions.size(), vec3(0));
+    broken.texcoords.resize(broken.positions.size(), vec2(NAN));
+    broken.triangles.insert(broken.triangles.end(), {{0, 0, 1}, {first, 0, 1}, {0, first + 1, 1}});
+    add_shape(bundle, broken, emitter(vec3(1e20f)));
+    add_shape(bundle, broken, emitter(vec3(1)), mat4(0));
+    add_light(bundle, LightKind::point, {0, 0, 0}, {0, 0, 0}, vec3(1));
+    add_light(bundle, LightKind::spot, {0, 0.2f, 0}, {0, 0, 0}, vec3(1));
+    bundle.scene.lights.back().inner_angle = bundle.scene.lights.back().outer_angle = 0;
+    Camera on_itself, along_up;
+    on_itself.at = on_itself.eye;
+    along_up.up = along_up.at - along_up.eye;
+    for (const Camera& camera : {from_above(), on_itself, along_up}) {
+        const FrameSpec spec = frame_of(GetParam(), {20, 18}, camera, 2);
+        Renderer renderer(bundle.scene, bundle.blobs, {});
+        for (const TileResult& r : render_all(renderer, spec)) {
+            const std::size_t pixels = tile_rect(spec.size, r.task.tile).pixels();
+            for (std::size_t i = 0; i < 3 * pixels; ++i) EXPECT_TRUE(std::isfinite(r.data[i]));
+        }
+    }
+}
+
+INSTANTIATE_TEST_SUITE_P(Both, LightTransport, testing::Values(Integrator::path, Integrator::igi),
+                         [](const auto& i) { return i.param == Integrator::igi ? "igi" : "path"; });
+
+TEST(TextureLookup, StartsAtTheTopLeftAndWraps) {
+    Texture t{.width = 2, .height = 2, .srgb = false, .rgba = {}};
+    t.rgba = {255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 255, 255, 255, 255, 255};
+    EXPECT_EQ(lookup(t, {0.25f, 0.25f}), vec4(1, 0, 0, 1));
+    EXPECT_EQ(lookup(t, {0.75f, 0.25f}), vec4(0, 1, 0, 1));
+    EXPECT_EQ(lookup(t, {0.25f, 0.75f}), vec4(0, 0, 1, 1));
+    EXPECT_EQ(lookup(t, {0.5f, 0.25f}), vec4(0.5f, 0.5f, 0, 1));
+    EXPECT_EQ(lookup(t, {-0.75f, 1.25f}), vec4(1, 0, 0, 1));
+    t.wrap_u = t.wrap_v = Wrap::mirror;
+    EXPECT_EQ(lookup(t, {-0.25f, 0.25f}), vec4(1, 0, 0, 1));
+    EXPECT_EQ(lookup(t, {1.25f, 0.25f}), vec4(0, 1, 0, 1));
+    t.wrap_u = t.wrap_v = Wrap::clamp;
+    EXPECT_EQ(lookup(t, {7, -3}), vec4(0, 1, 0, 1));
+    EXPECT_EQ(lookup(t, {NAN, 0}), vec4(0));
+    EXPECT_EQ(lookup(t, {infinity, 0}), vec4(0));
+}
+
+TEST(TextureLookup, TransformTurnsCounterClockwiseAsSeen) {
+    TextureMap map;
+    map.scale = {2, 3};
+    map.rotation = pi / 2;
+    map.offset = {10, 20};
+    const vec2 uv = apply(map, {1, 1});
+    EXPECT_NEAR(uv.x, 13, 1e-5f);
+    EXPECT_NEAR(uv.y, 18, 1e-5f);
+}
+
+}  // namespace
+}  // namespace tessera

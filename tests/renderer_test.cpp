@@ -1,0 +1,168 @@
+#include "worker/renderer.h"
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <bit>
+#include <map>
+#include <random>
+#include <thread>
+
+#include "common/generator.h"
+#include "tests/render_fixture.h"
+
+namespace tessera {
+namespace {
+
+SceneBundle cornell() { return *generate_scene("cornell"); }
+
+FrameSpec cornell_frame(const SceneBundle& bundle, Integrator integrator, ImageSize size,
+                        std::uint32_t passes) {
+    FrameSpec spec = frame_of(integrator, size, bundle.scene.cameras.at(0), passes);
+    spec.extra = spec.extra.with(Channel::direct).with(Channel::indirect);
+    return spec;
+}
+
+std::vector<std::uint32_t> bits(const std::vector<float>& values) {
+    std::vector<std::uint32_t> out;
+    for (const float v : values) out.push_back(std::bit_cast<std::uint32_t>(v));
+    return out;
+}
+
+using Pictures = std::map<TileTask, std::vector<std::uint32_t>>;
+
+/// All tasks, shuffled, on several threads.
+Pictures render_shuffled(const SceneBundle& bundle, const FrameSpec& spec, unsigned seed,
+                         int threads) {
+    Renderer renderer(bundle.scene, bundle.blobs, {.threads = threads});
+    renderer.begin_frame(spec);
+    std::vector<TileTask> tasks = tasks_of(spec);
+    std::shuffle(tasks.begin(), tasks.end(), std::mt19937(seed));
+    std::vector<std::vector<std::uint32_t>> results(tasks.size());
+    std::atomic<std::size_t> next = 0;
+    {
+        std::vector<std::jthread> crew;
+        for (int i = 0; i < threads; ++i)
+            crew.emplace_back([&] {
+                for (std::size_t t; (t = next++) < tasks.size();)
+                    results[t] = bits(renderer.render(tasks[t])->data);
+            });
+    }
+    Pictures pictures;
+    for (std::size_t i = 0; i < tasks.size(); ++i) pictures[tasks[i]] = std::move(results[i]);
+    return pictures;
+}
+
+class RendererOf : public testing::TestWithParam<std::tuple<Integrator, TracerKind>> {};
+
+TEST_P(RendererOf, GivesTheSameBitsForAnyOrderAndThreads) {
+    const SceneBundle bundle = cornell();
+    FrameSpec spec = cornell_frame(bundle, std::get<0>(GetParam()), {40, 33}, 20);
+    spec.settings.tracer = std::get<1>(GetParam());
+    const Pictures reference = render_shuffled(bundle, spec, 1, 1);
+    for (const unsigned seed : {2u, 3u})
+        EXPECT_TRUE(render_shuffled(bundle, spec, seed, 3) == reference);
+}
+
+INSTANTIATE_TEST_SUITE_P(Each, RendererOf,
+                         testing::Combine(testing::Values(Integrator::path, Integrator::igi),
+                                          testing::Values(TracerKind::kdtree, TracerKind::embree)));
+
+TEST(Renderer, ATaskIsTheSumOfItsPasses) {
+    const SceneBundle bundle = cornell();
+    for (const Integrator integrator : {Integrator::path, Integrator::igi}) {
+        const FrameSpec spec = cornell_frame(bundle, integrator, {16, 16}, 4);
+        Renderer renderer(bundle.scene, bundle.blobs, {});
+        renderer.begin_frame(spec);
+        const TileResult whole = *renderer.render({1, 0, 0, 4});
+        std::vector<TileResult> parts;
+        for (std::uint32_t pass = 0; pass < 4; ++pass)
+            parts.push_back(*renderer.render({1, 0, pass, 1}));
+        const std::size_t end = channel_offset(spec, Channel::irradiance, 256);
+        for (std::size_t i = 0; i < end; ++i) {
+            float sum = 0;
+            for (const TileResult& part : parts) sum += part.data[i];
+            EXPECT_EQ(whole.data[i], sum);
+        }
+        EXPECT_EQ(whole.data.size(), 256u * floats_per_pixel(tile_channels(spec)));
+    }
+}
+
+TEST(Renderer, DirectAndIndirectAddUpToThePicture) {
+    const SceneBundle bundle = cornell();
+    const FrameSpec spec = cornell_frame(bundle, Integrator::path, {16, 16}, 1);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const TileResult r = render_all(renderer, spec).front();
+    const std::size_t direct = channel_offset(spec, Channel::direct, 256);
+    const std::size_t indirect = channel_offset(spec, Channel::indirect, 256);
+    for (std::size_t i = 0; i < 3 * 256; ++i)
+        EXPECT_NEAR(r.data[i], r.data[direct + i] + r.data[indirect + i], 1e-4f);
+}
+
+TEST(Renderer, SeedsChangeTheNoiseAndNotTheMean) {
+    const SceneBundle bundle = cornell();
+    FrameSpec spec = cornell_frame(bundle, Integrator::igi, {32, 32}, 16);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const vec3 mean = mean_radiance(spec, render_all(renderer, spec));
+    spec.frame = 2;
+    spec.settings.seed = 7;
+    const vec3 other = mean_radiance(spec, render_all(renderer, spec));
+    EXPECT_NE(mean, other);
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(mean[c], other[c], 0.03f * mean[c]);
+}
+
+TEST(Renderer, BothIntegratorsHaveTheSameMean) {
+    const SceneBundle bundle = cornell();
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    FrameSpec spec = cornell_frame(bundle, Integrator::path, {48, 48}, 128);
+    const vec3 path = mean_radiance(spec, render_all(renderer, spec));
+    spec = cornell_frame(bundle, Integrator::igi, {48, 48}, 64);
+    spec.frame = 2;
+    const vec3 igi = mean_radiance(spec, render_all(renderer, spec));
+    for (int c = 0; c < 3; ++c) EXPECT_NEAR(igi[c], path[c], 0.01f * path[c]);
+}
+
+TEST(Renderer, KnowsOnlyFramesBetweenBeginAndEnd) {
+    const SceneBundle bundle = cornell();
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const FrameSpec spec = cornell_frame(bundle, Integrator::igi, {16, 16}, 1);
+    EXPECT_FALSE(renderer.render({1, 0, 0, 1}));
+    renderer.begin_frame(spec);
+    renderer.begin_frame(spec);
+    EXPECT_TRUE(renderer.render({1, 0, 0, 1}));
+    renderer.end_frame(1);
+    EXPECT_FALSE(renderer.render({1, 0, 0, 1}));
+}
+
+TEST(Renderer, LeavesPixelsWithoutASurfaceEmpty) {
+    const SceneBundle bundle = cornell();
+    FrameSpec spec = cornell_frame(bundle, Integrator::igi, {16, 16}, 1);
+    spec.camera.at = 2.0f * spec.camera.eye - spec.camera.at;  // look away
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const TileResult r = render_all(renderer, spec).front();
+    EXPECT_EQ(r.data[channel_offset(spec, Channel::depth, 256)], infinity);
+    EXPECT_EQ(bits(r.data)[channel_offset(spec, Channel::surface, 256)], 0u);
+    EXPECT_EQ(r.sanitised, 0u);
+}
+
+TEST(Renderer, NamesWhatIsMissing) {
+    SceneBundle bundle = cornell();
+    EXPECT_THROW(Renderer(bundle.scene, BlobStore{}, {}), std::runtime_error);
+}
+
+TEST(Renderer, PlansWhatTheSceneNeeds) {
+    SceneBundle bundle = cornell();
+    bundle.scene.materials[0].metallic = 0.5f;
+    const Renderer renderer(bundle.scene, bundle.blobs, {});
+    const auto has = [](const std::vector<std::string>& lines, const std::string& text) {
+        return std::any_of(lines.begin(), lines.end(), [&](const std::string& line) {
+            return line.find(text) != std::string::npos;
+        });
+    };
+    EXPECT_TRUE(has(renderer.plan().modelled, "area lights: 2"));
+    EXPECT_TRUE(has(renderer.plan().left_out, "glossy reflection"));
+    EXPECT_TRUE(has(renderer.plan().left_out, "textures"));
+}
+
+}  // namespace
+}  // namespace tessera
