@@ -125,8 +125,7 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
     if (hello) {
         connection->send({Welcome{peer, TESSERA_VERSION, scenes_.loaded_names()}, {}});
         if (hello->role == Role::worker) {
-            co_await std::make_shared<WorkerSession>(peer, *hello, connection, farm_.strand())
-                ->run(farm_);
+            co_await std::make_shared<WorkerSession>(peer, *hello, connection)->run(farm_);
         } else {
             ++viewers_;
             co_await std::make_shared<ViewerSession>(*hello, connection, [this] {

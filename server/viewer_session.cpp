@@ -153,10 +153,11 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
                  if (const auto self = weak.lock()) self->connection_->send({progress, {}});
              },
          .done =
-             [weak, strand = farm.strand(), pool = farm.pool()](FinishedFrame frame) {
+             [weak, pool = farm.pool()](FinishedFrame frame) {
                  const auto self = weak.lock();
                  if (!self) return;
-                 asio::co_spawn(strand, self->send_frame(std::move(frame), pool), asio::detached);
+                 asio::co_spawn(self->connection_->executor(),
+                                self->send_frame(std::move(frame), pool), asio::detached);
              },
          .failed =
              [weak, number = request.request](const std::string& reason) {

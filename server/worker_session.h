@@ -15,8 +15,7 @@ class RenderFarm;
 
 class WorkerSession : public std::enable_shared_from_this<WorkerSession> {
 public:
-    WorkerSession(std::uint64_t id, const Hello& hello, std::shared_ptr<Connection> connection,
-                  const asio::any_io_executor& strand);
+    WorkerSession(std::uint64_t id, const Hello& hello, std::shared_ptr<Connection> connection);
 
     /// Serves the worker until it goes or breaks the protocol.
     asio::awaitable<void> run(RenderFarm& farm);
