@@ -149,7 +149,8 @@ Texture decode_picture(std::span<const std::byte> encoded, const std::string& or
     OIIO::Filesystem::IOMemReader memory(encoded.data(), encoded.size());
     const ImageSpec config = straight_alpha();
     const std::string name = name_for(encoded, origin);
-    const auto in = ImageInput::create(name);
+    // Told of the memory twice: create() must not look for a file, open() forgets it.
+    const auto in = ImageInput::create(name, false, &config, &memory);
     ImageSpec spec;
     if (!in) cannot("read", origin, OIIO::geterror());
     if (!in->set_ioproxy(&memory) || !in->open(name, spec, config))

@@ -1,0 +1,85 @@
+// Pictures come back from files as they were, within what the format keeps.
+
+#include "common/image_io.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/scene_checks.h"
+#include "tests/temp_dir.h"
+
+namespace tessera {
+namespace {
+
+Image ramp() {
+    Image image({16, 9}, 3);
+    for (std::size_t i = 0; i < image.data.size(); ++i)
+        image.data[i] = float(i) / float(image.data.size() - 1);
+    return image;
+}
+
+TEST(ImageIo, linear_formats_keep_floats) {
+    const TempDir dir;
+    Image image = ramp();
+    image.data[5] = 1234.5f;
+    for (const char* name : {"a.exr", "a.tif"}) {
+        write_image(image, dir.file(name));
+        EXPECT_EQ(read_image(dir.file(name)), image) << name;
+    }
+}
+
+TEST(ImageIo, eight_bits_are_srgb) {
+    const TempDir dir;
+    write_image(ramp(), dir.file("a.png"));
+    const Image back = read_image(dir.file("a.png"));
+    ASSERT_EQ(back.size, ramp().size);
+    for (std::size_t i = 0; i < back.data.size(); ++i)
+        EXPECT_NEAR(srgb_from_linear(back.data[i]), srgb_from_linear(ramp().data[i]), 0.51f / 255);
+    // What was read is written as the same bytes.
+    write_image(back, dir.file("b.png"));
+    EXPECT_EQ(read_image(dir.file("b.png")), back);
+}
+
+TEST(ImageIo, one_channel_becomes_grey) {
+    const TempDir dir;
+    Image depth({4, 4}, 1);
+    depth.data[7] = 0.5f;
+    for (const char* name : {"a.exr", "a.png"}) {
+        write_image(depth, dir.file(name));
+        const Image back = read_image(dir.file(name));
+        EXPECT_EQ(back.channels, 3);
+        EXPECT_NEAR(back.pixel(3, 1)[2], 0.5f, 0.01f) << name;
+    }
+}
+
+TEST(ImageIo, png_in_memory_keeps_colour_under_any_alpha) {
+    Texture texture{.width = 5, .height = 3, .rgba = {}};
+    for (int i = 0; i < 60; ++i) texture.rgba.push_back(std::uint8_t(i * 37));
+    EXPECT_EQ(decode_picture(encode_png(texture), "test"), texture);
+}
+
+TEST(ImageIo, formats_are_told_by_extension) {
+    EXPECT_TRUE(keeps_linear("a.exr") && keeps_linear("dir/a.PFM") && keeps_linear("a.hdr"));
+    EXPECT_FALSE(keeps_linear("a.png") || keeps_linear("exr"));
+    EXPECT_NO_THROW(check_writable_format("a.jpg"));
+    for (const char* name : {"a.xyz", "a", ""})
+        EXPECT_NE(user_error([&] { check_writable_format(name); }).find("no picture format"),
+                  std::string::npos);
+}
+
+TEST(ImageIo, errors_name_the_file) {
+    const TempDir dir;
+    EXPECT_NE(user_error([&] { read_image(dir.file("gone.exr")); }).find("gone.exr"),
+              std::string::npos);
+    dir.write("broken.png", "this is no picture");
+    EXPECT_NE(user_error([&] { read_texture(dir.file("broken.png")); }).find("broken.png"),
+              std::string::npos);
+    const Bytes none;
+    EXPECT_NE(user_error([&] { decode_picture(none, "image 3"); }).find("image 3"),
+              std::string::npos);
+    EXPECT_NE(
+        user_error([&] { write_image(ramp(), dir.file("no") / "dir" / "a.exr"); }).find("a.exr"),
+        std::string::npos);
+}
+
+}  // namespace
+}  // namespace tessera
