@@ -1,5 +1,7 @@
 #include "server/worker_session.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -32,20 +34,21 @@ WorkerSession::WorkerSession(std::uint64_t id, const Hello& hello,
 
 asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
     const auto self = shared_from_this();
-    spdlog::info("worker {} joins from {} with {} threads", name_, address(), threads_);
+    spdlog::info("{} joins with {} threads", description(), threads_);
     asio::co_spawn(
         connection_->executor(), [self] { return self->keep_pinging(); }, asio::detached);
     farm.add_worker(self);
-    try {
-        for (;;) handle(co_await connection_->receive(longest_silence), farm);
-    } catch (const ProtocolError& error) {
-        spdlog::warn("worker {} is dropped: it {}", name_, error.what());
-    } catch (const std::exception& error) {
-        spdlog::info("worker {} leaves: {}", name_, error.what());
-    }
+    for (;;) handle(co_await connection_->receive(longest_silence), farm);
+}
+
+void WorkerSession::leave(RenderFarm& farm) {
     connection_->close();
     ping_timer_.cancel();
     farm.remove_worker(id_);
+}
+
+std::string WorkerSession::description() const {
+    return fmt::format("worker {} at {}", name_, address());
 }
 
 void WorkerSession::handle(Message message, RenderFarm& farm) {
