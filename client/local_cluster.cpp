@@ -188,11 +188,15 @@ void LocalCluster::check_alive() {
 }
 
 void LocalCluster::stop() {
-    for (const Child& child : children_)
-        if (!child.ended) kill(child.pid, SIGTERM);
+    // Workers first: they would take the server's end for a lost connection.
     const auto deadline = Clock::now() + stop_timeout;
+    std::stable_partition(children_.begin(), children_.end(),
+                          [](const Child& child) { return !child.server; });
+    for (const Child& child : children_)
+        if (!child.ended && !child.server) kill(child.pid, SIGTERM);
     for (const Child& child : children_) {
         if (child.ended) continue;
+        if (child.server) kill(child.pid, SIGTERM);
         if (!wait_for_end(child.pid, deadline)) kill(child.pid, SIGKILL);
         waitpid(child.pid, nullptr, 0);
     }

@@ -1,4 +1,4 @@
-// The Cornell box as measured at Cornell University (Program of Computer Graphics, 1998 data set),
+// The Cornell box as measured at Cornell University (Program of Computer Graphics),
 // in metres, with the RGB reflectances and emitter radiance that renderers commonly use. The lamp
 // hangs 0.1 mm below the ceiling, as in the data set.
 

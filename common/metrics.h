@@ -14,7 +14,7 @@ namespace tessera {
 struct Comparison {
     double rmse = 0;          ///< root of the mean squared difference
     double rmse_clamped = 0;  ///< the same with both pictures clamped to [0, 1]; NaN counts as 0
-    double relmse = 0;        ///< mean of (a - b)^2 / (b^2 + 0.01) (Rousselle et al. 2011)
+    double relmse = 0;        ///< mean of (a - b)^2 / (b^2 + 0.01)
     double max_abs = 0;
     double mean_a = 0;  ///< mean of all values as they are
     double mean_b = 0;

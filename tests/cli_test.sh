@@ -83,7 +83,8 @@ expect_ok "status" tessera status --server "$address" --json
 grep -q '"workers": \[\]' "$work/out" || fail "status shows workers that are not there"
 tessera render cornell -o "$work/late.png" --size 64x48 --server "$address" 2>"$work/notes" &
 client=$!
-grep -m 1 -q "waiting" <"$work/notes" || fail "does not say that it waits for workers"
+exec 3<"$work/notes"  # stays open, so that the client may go on writing
+grep -m 1 -q "waiting" <&3 || fail "does not say that it waits for workers"
 "$bin/tessera-worker" --server "$address" --threads 1 2>"$work/worker.log" &
 wait $client || fail "render that waited for a worker"
 kill $server

@@ -5,6 +5,7 @@
 #include <tbb/parallel_invoke.h>
 #include <tbb/parallel_sort.h>
 
+#include <array>
 #include <bit>
 #include <numeric>
 #include <unordered_map>
@@ -184,25 +185,25 @@ public:
             make_leaf(out, slot, cell);
             return;
         }
-        auto [below, above] = divide(std::move(cell), split);
+        auto cells = divide(std::move(cell), split);
         const auto children = std::uint32_t(out.nodes.size());
         out.nodes.resize(children + 2);
         out.nodes[slot] = KdNode::inner(split.axis, split.position, children);
-        if (std::max(below.count, above.count) > parallel_items) {
+        if (std::max(cells[0].count, cells[1].count) > parallel_items) {
             Subtree parts[2];
-            tbb::parallel_invoke([&] { build(parts[0], 0, std::move(below), depth + 1); },
-                                 [&] { build(parts[1], 0, std::move(above), depth + 1); });
+            tbb::parallel_invoke([&] { build(parts[0], 0, std::move(cells[0]), depth + 1); },
+                                 [&] { build(parts[1], 0, std::move(cells[1]), depth + 1); });
             append(out, children, parts[0]);
             append(out, children + 1, parts[1]);
         } else {
-            build(out, children, std::move(below), depth + 1);
-            build(out, children + 1, std::move(above), depth + 1);
+            build(out, children, std::move(cells[0]), depth + 1);
+            build(out, children + 1, std::move(cells[1]), depth + 1);
         }
         collapse_if_useless(out, slot);
     }
 
 private:
-    // Where a subtree is worth a task; decides no more than who builds it.
+    // Where subtrees are worth tasks. Decides who builds them; they come out the same either way.
     static constexpr std::uint32_t parallel_items = 4096;
 
     static void make_leaf(Subtree& out, std::uint32_t slot, const Cell& cell) {
@@ -237,7 +238,8 @@ private:
         out.items.resize(b.first_item());
     }
 
-    std::pair<Cell, Cell> divide(Cell cell, const Split& split) {
+    /// The cells below and above the split.
+    std::array<Cell, 2> divide(Cell cell, const Split& split) {
         Cell below{cell.box, 0, {}}, above{cell.box, 0, {}};
         below.box.hi[split.axis] = above.box.lo[split.axis] = split.position;
         std::vector<Side>& sides = sides_.local();
@@ -293,7 +295,10 @@ private:
     }
 
     static void merge_in(std::vector<Event>& events, std::vector<Event>& more) {
-        if (more.empty()) return;
+        if (more.empty()) {
+            events.shrink_to_fit();  // it was sized for all of the parent's
+            return;
+        }
         std::sort(more.begin(), more.end());
         std::vector<Event> merged(events.size() + more.size());
         std::merge(events.begin(), events.end(), more.begin(), more.end(), merged.begin());

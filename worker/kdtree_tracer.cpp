@@ -4,6 +4,7 @@
 #include <tbb/task_arena.h>
 
 #include <array>
+#include <unordered_map>
 
 #include "common/check.h"
 #include "worker/affine.h"
@@ -15,13 +16,14 @@ namespace tessera {
 namespace {
 
 // Rays are as fast in trees from 0.5 to 4; the leanest is smallest and soonest built.
-constexpr KdCosts object_costs{.traversal = 1, .intersection = 0.5f};
+constexpr KdCosts object_costs{.traversal = 1, .intersection = 0.25f};
 // A ray that meets an instance is transformed and walks a tree.
 constexpr KdCosts top_costs{.traversal = 1, .intersection = 20};
 
+/// An object's tree; its leaves hold runs of blocks.
 struct KdObject {
     KdTree tree;
-    std::vector<Triangle> triangles;  ///< what the tree's items index
+    std::vector<TriangleBlock> blocks;
 };
 
 struct KdInstance {
@@ -42,21 +44,28 @@ std::vector<Triangle> sound_triangles(const TracerObject& object) {
     return sound;
 }
 
-/// Renumbers items in the order in which leaves first name them: what is near in the tree is near
-/// in memory.
-std::vector<Triangle> in_leaf_order(const std::vector<Triangle>& triangles,
-                                    std::vector<std::uint32_t>& items) {
-    std::vector<std::uint32_t> new_index(triangles.size(), ~0u);
-    std::vector<Triangle> ordered;
-    ordered.reserve(triangles.size());
-    for (std::uint32_t& item : items) {
-        if (new_index[item] == ~0u) {
-            new_index[item] = std::uint32_t(ordered.size());
-            ordered.push_back(triangles[item]);
+/// Copies the triangles of each item list into blocks, in the order of the lists, and makes the
+/// leaves count blocks instead of items: what is near in the tree is near in memory.
+std::vector<TriangleBlock> pack_leaves(KdTree& tree, const std::vector<Triangle>& triangles) {
+    std::vector<TriangleBlock> blocks;
+    std::unordered_map<std::uint32_t, std::uint32_t> first_blocks;  // lists may be shared
+    std::vector<Triangle> list;
+    for (KdNode& node : tree.nodes) {
+        if (!node.is_leaf() || node.item_count() == 0) continue;
+        const auto [first_block, is_new] =
+            first_blocks.try_emplace(node.first_item(), std::uint32_t(blocks.size()));
+        if (is_new) {
+            list.clear();
+            for (const std::uint32_t item : tree.items_of(node)) list.push_back(triangles[item]);
+            for (std::size_t i = 0; i < list.size(); i += 4)
+                blocks.push_back(TriangleBlock::of(
+                    std::span(list).subspan(i).first(std::min<std::size_t>(4, list.size() - i))));
         }
-        item = new_index[item];
+        node = KdNode::leaf(first_block->second, (node.item_count() + 3) / 4);
     }
-    return ordered;
+    tree.items = {};
+    blocks.shrink_to_fit();
+    return blocks;
 }
 
 KdObject build_object(const TracerObject& object) {
@@ -66,7 +75,7 @@ KdObject build_object(const TracerObject& object) {
         std::uint32_t(triangles.size()),
         [&](std::uint32_t i, const Box& cell) { return clipped_bounds(triangles[i], cell); },
         object_costs);
-    out.triangles = in_leaf_order(triangles, out.tree.items);
+    out.blocks = pack_leaves(out.tree, triangles);
     return out;
 }
 
@@ -92,13 +101,14 @@ public:
         float t_near = ray.tmin, t_far = hit_.t;
         if (!kd_ray.clip(object.tree.bounds, t_near, t_far)) return;
         const TriangleRay triangle_ray(ray);
-        kd_ray.traverse(object.tree, t_near, t_far, [&](std::span<const std::uint32_t> items) {
-            for (const std::uint32_t item : items) {
-                const Triangle& triangle = object.triangles[item];
-                TriangleHit found;
-                if (!triangle_ray.hits(triangle, found)) continue;
-                take(found, instance, triangle.id);
-                if (any_hit) break;
+        kd_ray.traverse(object.tree, t_near, t_far, [&](const KdNode& leaf) {
+            const TriangleBlock* const first = &object.blocks[leaf.first_item()];
+            for (const TriangleBlock& block : std::span(first, leaf.item_count())) {
+                const Mask4 misses = triangle_ray.surely_misses(block, last_t());
+                if (all(misses)) continue;
+                for (int i = 0; i < 4; ++i)
+                    if (!misses[i]) test(triangle_ray, block, i, instance);
+                if (any_hit && hit_.valid()) break;
             }
             return last_t();
         });
@@ -110,7 +120,15 @@ public:
     Hit result() const { return hit_.valid() ? hit_ : Hit{}; }
 
 private:
-    void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
+    void test(const TriangleRay& ray, const TriangleBlock& block, int lane,
+              std::uint32_t instance) {
+        const std::uint32_t triangle = block.ids[lane];
+        // The best hit so far is met again in each leaf that its triangle reaches.
+        if (triangle == TriangleBlock::no_triangle ||
+            (triangle == hit_.triangle && instance == hit_.instance))
+            return;
+        TriangleHit found;
+        if (!ray.hits(block.lane(lane), found)) return;
         const auto precedes = [&] {
             return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
         };
@@ -178,6 +196,8 @@ private:
 
     template <bool any_hit>
     Hit trace(const Ray& ray) const {
+        // It would meet every cell, only to miss every triangle.
+        if (!is_finite(ray.org) || !is_finite(ray.dir)) return {};
         Query<any_hit> query(ray);
         if (single_)
             query.trace(*single_, ray, 0);
@@ -192,8 +212,8 @@ private:
         float t_near = ray.tmin, t_far = ray.tmax;
         if (!kd_ray.clip(top_.bounds, t_near, t_far)) return;
         Mailbox mailbox;
-        kd_ray.traverse(top_, t_near, t_far, [&](std::span<const std::uint32_t> items) {
-            for (const std::uint32_t item : items) {
+        kd_ray.traverse(top_, t_near, t_far, [&](const KdNode& leaf) {
+            for (const std::uint32_t item : top_.items_of(leaf)) {
                 if (query.last_t() == -infinity) break;
                 if (mailbox.test_and_set(item)) continue;
                 const KdInstance& instance = instances_[item];

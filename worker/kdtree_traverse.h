@@ -22,8 +22,8 @@ public:
     /// Clips [t_near, t_far] to the box, rounded outwards; false when nothing is left.
     bool clip(const Box& box, float& t_near, float& t_far) const;
 
-    /// Calls `leaf(items)` for every leaf that the segment may meet, in order. `leaf` returns the
-    /// largest t that still matters: the hit's, or -infinity to stop.
+    /// Calls `leaf(node)` for every leaf with items that the segment may meet, in order. `leaf`
+    /// returns the largest t that still matters: the hit's, or -infinity to stop.
     template <class Leaf>
     void traverse(const KdTree& tree, float t_near, float t_far, Leaf&& leaf) const;
 
@@ -88,7 +88,7 @@ inline void KdRay::traverse(const KdTree& tree, float t_near, float t_far, Leaf&
             }
         }
         if (node->item_count() > 0) {
-            const float t_last = leaf(tree.items_of(*node));
+            const float t_last = leaf(*node);
             // Drop the cells that start behind it.
             while (top != stack && !(top[-1].t_near <= t_last)) --top;
         }

@@ -238,7 +238,7 @@ void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) 
 void Session::on(const Ping& ping) { connection_->send({Pong{ping.stamp}, {}}); }
 
 void Session::fail(std::uint64_t frame, const std::string& reason) {
-    spdlog::warn("frame {}: {}", frame, reason);
+    spdlog::warn("{}", reason);
     connection_->send({Failure{.request = frame, .reason = reason}, {}});
 }
 
