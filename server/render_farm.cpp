@@ -35,8 +35,9 @@ struct RenderFarm::Job {
     std::shared_ptr<FrameSums> sums;
     asio::steady_timer report_timer;
     std::optional<FrameProgress> reported;
-    std::optional<Clock::time_point> started;  ///< first tile handed out
-    double error_estimate = 0;                 ///< after the last run folded
+    std::optional<Clock::time_point> started;       ///< first tile handed out
+    std::map<std::uint64_t, std::string> failures;  ///< workers that cannot render it, and why
+    double error_estimate = 0;                      ///< after the last run folded
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
     std::map<std::uint64_t, WorkerShare> shares;
@@ -112,8 +113,8 @@ void RenderFarm::add_worker(std::shared_ptr<WorkerSession> worker) {
 void RenderFarm::remove_worker(std::uint64_t worker) {
     if (workers_.erase(worker) == 0) return;
     scheduler_.remove_worker(worker);
-    std::vector<std::string> scenes;
-    for (const auto& [frame, job] : jobs_) scenes.push_back(job->scene.name);
+    std::set<std::string> scenes;
+    for (const auto& [frame, job] : jobs_) scenes.insert(job->scene.name);
     for (const std::string& scene : scenes) fail_if_hopeless(scene);
     pump();
 }
@@ -127,6 +128,16 @@ void RenderFarm::scene_ready(WorkerSession& worker, const std::string& scene,
 void RenderFarm::scene_failed(WorkerSession& worker, const std::string& scene) {
     scheduler_.scene_gone(worker.id(), scene);
     fail_if_hopeless(scene);
+    pump();
+}
+
+void RenderFarm::frame_failed(WorkerSession& worker, std::uint64_t frame,
+                              const std::string& reason) {
+    const auto found = jobs_.find(frame);
+    if (found == jobs_.end()) return;
+    found->second->failures[worker.id()] = reason;
+    scheduler_.exclude(worker.id(), frame);
+    fail_if_hopeless(found->second->scene.name);
     pump();
 }
 
@@ -216,26 +227,35 @@ void RenderFarm::sync_worker(WorkerSession& worker, const ReadyScene& scene) {
     if (worker.bring(scene)) scheduler_.scene_gone(worker.id(), scene.name);
 }
 
-/// Ends frames of a scene that no worker can build.
+/// Ends frames of a scene that no worker can build or render.
 void RenderFarm::fail_if_hopeless(const std::string& scene) {
-    const ReadyScene* wanted = wanted_version(scene);
-    if (!wanted || workers_.empty()) return;
+    std::vector<std::pair<std::uint64_t, std::string>> hopeless;
+    for (const auto& [frame, job] : jobs_)
+        if (job->scene.name == scene)
+            if (const std::string reason = why_hopeless(*job); !reason.empty())
+                hopeless.emplace_back(frame, reason);
+    for (const auto& [frame, reason] : hopeless) {
+        const FrameObserver observer = std::move(jobs_.at(frame)->observer);
+        end_job(frame);
+        observer.failed(reason);
+    }
+}
+
+/// Empty as long as there is a worker that may yet render the frame, or none at all to judge by.
+std::string RenderFarm::why_hopeless(const Job& job) const {
     std::string reason;
     for (const auto& [id, worker] : workers_) {
-        const auto* state = worker->state_of(scene, wanted->scene->version);
-        if (!state || state->failure.empty()) return;
-        reason = fmt::format("worker {}: {}", worker->name(), state->failure);
+        const auto* state = worker->state_of(job.scene.name, job.scene.scene->version);
+        const auto failure = job.failures.find(id);
+        if (failure != job.failures.end())
+            reason = failure->second;
+        else if (state && !state->failure.empty())
+            reason = state->failure;
+        else
+            return {};
+        reason = fmt::format("worker {}: {}", worker->name(), reason);
     }
-    const std::uint64_t version = wanted->scene->version;
-    std::vector<FrameObserver> observers;
-    for (auto job = jobs_.begin(); job != jobs_.end();) {
-        const std::uint64_t frame = job->first;
-        Job& j = *job++->second;
-        if (j.scene.name != scene || j.scene.scene->version != version) continue;
-        observers.push_back(std::move(j.observer));
-        end_job(frame);
-    }
-    for (const FrameObserver& observer : observers) observer.failed(reason);
+    return reason;
 }
 
 /// Folds the next run if it is complete, in bands of rows on the pool.

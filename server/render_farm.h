@@ -52,6 +52,7 @@ public:
     void remove_worker(std::uint64_t worker);
     void scene_ready(WorkerSession& worker, const std::string& scene, std::uint64_t version);
     void scene_failed(WorkerSession& worker, const std::string& scene);
+    void frame_failed(WorkerSession& worker, std::uint64_t frame, const std::string& reason);
     /// Throws ProtocolError when the result does not fit its frame.
     void tile_result(WorkerSession& worker, const TileResult& result);
 
@@ -61,7 +62,6 @@ public:
     std::vector<WorkerStatus> worker_status() const;
     std::uint32_t frames_in_flight() const { return std::uint32_t(jobs_.size()); }
     std::uint64_t frames_done() const { return frames_done_; }
-    asio::any_io_executor strand() const { return strand_; }
     /// For other work that is too heavy for the strand.
     asio::any_io_executor pool() { return pool_.get_executor(); }
 
@@ -74,6 +74,7 @@ private:
     void sync_worker(WorkerSession& worker, const ReadyScene& scene);
     const ReadyScene* wanted_version(const std::string& name) const;
     void fail_if_hopeless(const std::string& scene);
+    std::string why_hopeless(const Job& job) const;
 
     void fold_next(Job& job);
     void run_folded(std::uint64_t frame, RunBuffer run);

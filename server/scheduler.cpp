@@ -26,16 +26,26 @@ void Scheduler::add_worker(std::uint64_t worker, std::uint32_t threads) {
 
 void Scheduler::remove_worker(std::uint64_t worker) {
     workers_.erase(worker);
-    for (auto& [id, frame] : frames_)
-        for (auto entry = frame.outstanding.begin(); entry != frame.outstanding.end();) {
-            auto& [task, outstanding] = *entry;
-            std::erase_if(outstanding.leases, [&](const Lease& l) { return l.worker == worker; });
-            queue_if_orphaned(frame, task, outstanding);
-            if (outstanding.done && outstanding.leases.empty())
-                entry = frame.outstanding.erase(entry);
-            else
-                ++entry;
-        }
+    for (auto& [id, frame] : frames_) take_back(frame, worker);
+}
+
+void Scheduler::exclude(std::uint64_t worker, std::uint64_t frame) {
+    Frame& f = frames_.at(frame);
+    f.excluded.insert(worker);
+    for (const auto& [task, outstanding] : f.outstanding)
+        if (holds(outstanding, worker)) --workers_.at(worker).leases;
+    take_back(f, worker);
+}
+
+/// Forgets the worker's leases; what nobody else holds is handed out again.
+void Scheduler::take_back(Frame& frame, std::uint64_t worker) {
+    for (auto entry = frame.outstanding.begin(); entry != frame.outstanding.end();) {
+        auto& [task, outstanding] = *entry;
+        std::erase_if(outstanding.leases, [&](const Lease& l) { return l.worker == worker; });
+        queue_if_orphaned(frame, task, outstanding);
+        const bool over = outstanding.done && outstanding.leases.empty();
+        entry = over ? frame.outstanding.erase(entry) : std::next(entry);
+    }
 }
 
 void Scheduler::scene_ready(std::uint64_t worker, const std::string& scene, std::uint64_t version) {
@@ -118,9 +128,11 @@ std::optional<TimePoint> Scheduler::next_deadline() const {
     return next == TimePoint::max() ? std::nullopt : std::optional(next);
 }
 
-bool Scheduler::ready(const Worker& worker, const FrameSpec& spec) {
-    const auto scene = worker.scenes.find(spec.scene);
-    return scene != worker.scenes.end() && scene->second == spec.version;
+bool Scheduler::ready(std::uint64_t worker, const Frame& frame) const {
+    const auto& scenes = workers_.at(worker).scenes;
+    const auto scene = scenes.find(frame.spec.scene);
+    return scene != scenes.end() && scene->second == frame.spec.version &&
+           !frame.excluded.contains(worker);
 }
 
 bool Scheduler::holds(const Outstanding& outstanding, std::uint64_t worker) {
@@ -190,7 +202,7 @@ std::optional<Assignment> Scheduler::in_turn(std::uint64_t worker, TimePoint now
     auto frame = frames_.upper_bound(last_frame_);
     for (std::size_t i = 0; i < frames_.size(); ++i, ++frame) {
         if (frame == frames_.end()) frame = frames_.begin();
-        if (!ready(workers_.at(worker), frame->second.spec)) continue;
+        if (!ready(worker, frame->second)) continue;
         const std::optional<TileTask> task = choose(frame->second);
         if (!task) continue;
         last_frame_ = frame->first;

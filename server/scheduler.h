@@ -15,6 +15,7 @@
 #include <deque>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -69,6 +70,8 @@ public:
     void allow_runs(std::uint64_t frame, std::uint32_t run_limit);
     /// Nothing from `runs` on is wanted any more.
     void limit_runs(std::uint64_t frame, std::uint32_t runs);
+    /// This worker cannot render this frame: what it holds of it goes to others.
+    void exclude(std::uint64_t worker, std::uint64_t frame);
     /// The frame is complete or cancelled.
     void remove_frame(std::uint64_t frame);
 
@@ -113,9 +116,11 @@ private:
         std::map<TileTask, Outstanding> outstanding;
         double task_seconds = 0;  ///< from handing out to answer, running mean; 0: not known yet
         std::uint64_t reissued = 0;
+        std::set<std::uint64_t> excluded;  ///< workers that cannot render it
     };
 
-    static bool ready(const Worker& worker, const FrameSpec& spec);
+    bool ready(std::uint64_t worker, const Frame& frame) const;
+    static void take_back(Frame& frame, std::uint64_t worker);
     static bool holds(const Outstanding& outstanding, std::uint64_t worker);
     static void queue_if_orphaned(Frame& frame, const TileTask& task, Outstanding& outstanding);
     static std::optional<TileTask> lost_task_for(std::uint64_t worker, Frame& frame);

@@ -61,6 +61,22 @@ bool same_token(const std::string& a, const std::string& b) {
     return difference == 0;
 }
 
+/// Runs a session to its end. Whatever a peer does wrong ends here, with its own session.
+template <class Session>
+asio::awaitable<void> hold_session(std::shared_ptr<Session> session, asio::awaitable<void> run,
+                                   RenderFarm& farm) {
+    try {
+        co_await std::move(run);
+    } catch (const ProtocolError& error) {
+        spdlog::warn("{} is dropped: it {}", session->description(), error.what());
+    } catch (const boost::system::system_error& error) {
+        spdlog::info("{} leaves: {}", session->description(), error.code().message());
+    } catch (const std::exception& error) {
+        spdlog::error("{} is dropped: {}", session->description(), error.what());
+    }
+    session->leave(farm);
+}
+
 }  // namespace
 
 Server::Server(asio::io_context& io, const ServerConfig& config)
@@ -125,13 +141,13 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
     if (hello) {
         connection->send({Welcome{peer, TESSERA_VERSION, scenes_.loaded_names()}, {}});
         if (hello->role == Role::worker) {
-            co_await std::make_shared<WorkerSession>(peer, *hello, connection, farm_.strand())
-                ->run(farm_);
+            const auto worker = std::make_shared<WorkerSession>(peer, *hello, connection);
+            co_await hold_session(worker, worker->run(farm_), farm_);
         } else {
             ++viewers_;
-            co_await std::make_shared<ViewerSession>(*hello, connection, [this] {
-                return status();
-            })->run(farm_, scenes_);
+            const auto viewer =
+                std::make_shared<ViewerSession>(*hello, connection, [this] { return status(); });
+            co_await hold_session(viewer, viewer->run(farm_, scenes_), farm_);
             --viewers_;
         }
     }

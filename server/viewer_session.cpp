@@ -36,11 +36,11 @@ Part make_part(const FrameRequest& request, Channel channel, PictureFormat forma
             .pixels = {owner, bytes}};
 }
 
-Part picture_part(const FrameRequest& request, const Image& picture) {
+Part picture_part(const FrameRequest& request, Image picture) {
     if (request.format == PictureFormat::srgb8)
         return make_part(request, Channel::radiance, request.format, 3,
                          to_srgb8(picture, request.tone_map));
-    return make_part(request, Channel::radiance, request.format, 3, picture.data);
+    return make_part(request, Channel::radiance, request.format, 3, std::move(picture.data));
 }
 
 /// Runs on the pool: tone mapping a large picture takes longer than the strand may be held up.
@@ -70,21 +70,14 @@ Message chunk_of(const Part& part, std::size_t offset) {
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
                              std::function<Status()> status)
-    : name_(fmt::format("{} at {}", hello.name, connection->remote_address())),
+    : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
       status_(std::move(status)) {}
 
 asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store) {
     const auto self = shared_from_this();
-    spdlog::info("viewer {} joins", name_);
-    try {
-        for (;;) handle(co_await connection_->receive(), farm, store);
-    } catch (const ProtocolError& error) {
-        spdlog::warn("viewer {} is dropped: it {}", name_, error.what());
-    } catch (const std::exception& error) {
-        spdlog::info("viewer {} leaves: {}", name_, error.what());
-    }
-    leave(farm);
+    spdlog::info("{} joins", description_);
+    for (;;) handle(co_await connection_->receive(), farm, store);
 }
 
 void ViewerSession::leave(RenderFarm& farm) {
@@ -136,7 +129,7 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
     if (!scene)
         return fail(request.request,
                     fmt::format("there is no scene '{}'; upload it first, or use one that the "
-                                "server has loaded: {}",
+                                "server has loaded ({})",
                                 request.spec.scene, fmt::join(store.loaded_names(), ", ")));
     if (frames_.contains(request.request))
         throw ProtocolError(fmt::format("uses request number {} twice", request.request));
@@ -153,10 +146,11 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
                  if (const auto self = weak.lock()) self->connection_->send({progress, {}});
              },
          .done =
-             [weak, strand = farm.strand(), pool = farm.pool()](FinishedFrame frame) {
+             [weak, pool = farm.pool()](FinishedFrame frame) {
                  const auto self = weak.lock();
                  if (!self) return;
-                 asio::co_spawn(strand, self->send_frame(std::move(frame), pool), asio::detached);
+                 asio::co_spawn(self->connection_->executor(),
+                                self->send_frame(std::move(frame), pool), asio::detached);
              },
          .failed =
              [weak, number = request.request](const std::string& reason) {
@@ -175,7 +169,7 @@ void ViewerSession::cancel_frame(std::uint64_t request, RenderFarm& farm) {
 }
 
 void ViewerSession::fail(std::uint64_t request, const std::string& reason) {
-    spdlog::warn("viewer {}, request {}: {}", name_, request, reason);
+    spdlog::warn("{}, request {}: {}", description_, request, reason);
     connection_->send({Failure{request, reason}, {}});
 }
 
@@ -200,7 +194,7 @@ asio::awaitable<void> ViewerSession::send_frame(FinishedFrame frame, asio::any_i
         frames_.erase(frame.request.request);
         connection_->send_bulk({FrameDone{frame.request.request, frame.statistics}, {}});
     } catch (const std::exception& error) {
-        spdlog::info("viewer {}: picture not sent: {}", name_, error.what());
+        spdlog::info("{}: picture not sent: {}", description_, error.what());
         connection_->close();
     }
 }

@@ -17,9 +17,12 @@ public:
     ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
                   std::function<Status()> status);
 
-    /// Serves the viewer until it goes or breaks the protocol; ends its frames with it.
+    /// Serves the viewer; throws ProtocolError or boost::system::system_error when that ends.
     asio::awaitable<void> run(RenderFarm& farm, SceneStore& store);
-    void close() { connection_->close(); }
+    /// To be called after `run`: ends the viewer's frames and gives up its scenes.
+    void leave(RenderFarm& farm);
+
+    const std::string& description() const { return description_; }  ///< for logs
 
 private:
     void handle(Message message, RenderFarm& farm, SceneStore& store);
@@ -27,11 +30,10 @@ private:
     void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
-    void leave(RenderFarm& farm);
     asio::awaitable<void> send_frame(FinishedFrame frame, asio::any_io_executor pool);
     bool wants(const FrameRequest& request) const;
 
-    std::string name_;
+    std::string description_;
     std::shared_ptr<Connection> connection_;
     std::function<Status()> status_;
     SceneReceiver receiver_;

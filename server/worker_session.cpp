@@ -1,5 +1,7 @@
 #include "server/worker_session.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -23,30 +25,30 @@ std::uint64_t now_nanoseconds() { return std::uint64_t(Clock::now().time_since_e
 }  // namespace
 
 WorkerSession::WorkerSession(std::uint64_t id, const Hello& hello,
-                             std::shared_ptr<Connection> connection,
-                             const asio::any_io_executor& strand)
+                             std::shared_ptr<Connection> connection)
     : id_(id),
       name_(hello.name.empty() ? connection->remote_address() : hello.name),
       threads_(std::clamp(hello.threads, 1u, most_threads)),
       connection_(std::move(connection)),
-      ping_timer_(strand) {}
+      ping_timer_(connection_->executor()) {}
 
 asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
     const auto self = shared_from_this();
-    spdlog::info("worker {} joins from {} with {} threads", name_, address(), threads_);
+    spdlog::info("{} joins with {} threads", description(), threads_);
     asio::co_spawn(
-        ping_timer_.get_executor(), [self] { return self->keep_pinging(); }, asio::detached);
+        connection_->executor(), [self] { return self->keep_pinging(); }, asio::detached);
     farm.add_worker(self);
-    try {
-        for (;;) handle(co_await connection_->receive(longest_silence), farm);
-    } catch (const ProtocolError& error) {
-        spdlog::warn("worker {} is dropped: it {}", name_, error.what());
-    } catch (const std::exception& error) {
-        spdlog::info("worker {} leaves: {}", name_, error.what());
-    }
+    for (;;) handle(co_await connection_->receive(longest_silence), farm);
+}
+
+void WorkerSession::leave(RenderFarm& farm) {
     connection_->close();
     ping_timer_.cancel();
     farm.remove_worker(id_);
+}
+
+std::string WorkerSession::description() const {
+    return fmt::format("worker {} at {}", name_, address());
 }
 
 void WorkerSession::handle(Message message, RenderFarm& farm) {
@@ -69,7 +71,7 @@ void WorkerSession::handle(Message message, RenderFarm& farm) {
 void WorkerSession::send_blobs_of(const BlobRequest& request) {
     const auto held = scenes_.find(request.scene);
     if (held == scenes_.end() || request.blobs.empty()) return;
-    asio::co_spawn(ping_timer_.get_executor(),
+    asio::co_spawn(connection_->executor(),
                    send_blobs(connection_, held->second.sent.blobs, request.blobs),
                    [self = shared_from_this()](std::exception_ptr error) {
                        if (error) self->close();
@@ -131,9 +133,10 @@ void WorkerSession::became_ready(const SceneReady& ready, RenderFarm& farm) {
     farm.scene_ready(*this, ready.scene, ready.version);
 }
 
-/// A worker's failure is about the oldest update that it has not answered.
+/// A failure is about a frame, or else about the oldest update that the worker has not answered.
 void WorkerSession::failed(const Failure& failure, RenderFarm& farm) {
     spdlog::warn("worker {}: {}", name_, failure.reason);
+    if (failure.request != 0) return farm.frame_failed(*this, failure.request, failure.reason);
     if (unanswered_.empty()) return;
     const std::string scene = std::exchange(unanswered_.front(), {});
     unanswered_.pop_front();

@@ -15,11 +15,12 @@ class RenderFarm;
 
 class WorkerSession : public std::enable_shared_from_this<WorkerSession> {
 public:
-    WorkerSession(std::uint64_t id, const Hello& hello, std::shared_ptr<Connection> connection,
-                  const asio::any_io_executor& strand);
+    WorkerSession(std::uint64_t id, const Hello& hello, std::shared_ptr<Connection> connection);
 
-    /// Serves the worker until it goes or breaks the protocol.
+    /// Serves the worker; throws ProtocolError or boost::system::system_error when that ends.
     asio::awaitable<void> run(RenderFarm& farm);
+    /// To be called after `run`.
+    void leave(RenderFarm& farm);
     void close() { connection_->close(); }
 
     /// Sends what leads from the version it has to this one, unless it is there or on its way.
@@ -42,6 +43,7 @@ public:
 
     std::uint64_t id() const { return id_; }
     const std::string& name() const { return name_; }
+    std::string description() const;  ///< for logs
     std::uint32_t threads() const { return threads_; }
     const std::string& address() const { return connection_->remote_address(); }
     double round_trip_seconds() const { return round_trip_seconds_; }

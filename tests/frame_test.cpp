@@ -6,12 +6,12 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <random>
 
 #include "common/discontinuity.h"
 #include "server/runs.h"
+#include "tests/fake_answer.h"
 
 namespace tessera {
 namespace {
@@ -30,34 +30,6 @@ FrameSpec small_frame(Integrator integrator, std::uint32_t passes) {
     return spec;
 }
 
-/// An answer that depends on nothing but the task.
-TileResult answer(const FrameSpec& spec, const TileTask& task) {
-    TileResult result;
-    result.task = task;
-    std::mt19937 random(task.tile * 1000 + task.first_pass);
-    std::uniform_real_distribution<float> uniform;
-    const std::size_t pixels = tile_rect(spec.size, task.tile).pixels();
-    for (int c = 0; c < channel_count; ++c) {
-        if (!tile_channels(spec).has(Channel(c))) continue;
-        for (std::size_t i = 0; i < pixels * std::size_t(floats_per_pixel(Channel(c))); ++i) {
-            float value = uniform(random) * float(task.pass_count);
-            if (Channel(c) == Channel::normal) value = i % 3 == 2;
-            if (Channel(c) == Channel::depth) value = 1;
-            if (Channel(c) == Channel::surface) value = std::bit_cast<float>(3u);
-            result.data.push_back(value);
-        }
-    }
-    return result;
-}
-
-std::vector<TileTask> all_tasks(const FrameSpec& spec) {
-    std::vector<TileTask> out;
-    for (std::uint32_t run = 0; run < run_count(spec.settings); ++run)
-        for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
-            out.push_back(task_of(spec, run, tile));
-    return out;
-}
-
 struct Assembly {
     FrameSpec spec;
     FrameAssembler assembler;
@@ -65,7 +37,7 @@ struct Assembly {
 
     explicit Assembly(const FrameSpec& s) : spec(s), assembler(s), sums(s) {}
 
-    Arrival add(const TileTask& task) { return assembler.add(answer(spec, task)); }
+    Arrival add(const TileTask& task) { return assembler.add(fake_answer(spec, task)); }
     void fold(int band_rows) {
         while (std::optional<RunBuffer> run = assembler.take_complete()) {
             for (int y = 0; y < spec.size.height; y += band_rows)
@@ -170,7 +142,7 @@ TEST(Frame, error_estimate_is_the_standard_error_of_the_mean_of_runs) {
 TEST(Frame, results_of_the_wrong_shape_are_refused) {
     const FrameSpec spec = small_frame(Integrator::igi, 2);
     Assembly frame(spec);
-    const TileResult good = answer(spec, task_of(spec, 0, 3));
+    const TileResult good = fake_answer(spec, task_of(spec, 0, 3));
     const auto broken = [&](auto change) {
         TileResult result = good;
         change(result);
@@ -226,7 +198,7 @@ TEST(Frame, values_that_are_not_finite_do_not_reach_the_picture) {
     const FrameSpec spec = small_frame(Integrator::igi, 1);
     Assembly frame(spec);
     for (const TileTask& task : all_tasks(spec)) {
-        TileResult result = answer(spec, task);
+        TileResult result = fake_answer(spec, task);
         for (std::size_t i = 0; i < result.data.size(); i += 17) result.data[i] = std::nanf("");
         frame.assembler.add(result);
     }

@@ -98,10 +98,24 @@ private:
         if (chance(0.02)) {
             auto victim = workers_.begin();
             std::advance(victim, below(std::uint32_t(workers_.size())));
-            remove_worker(victim->first);
+            if (victim->first != immortal_) remove_worker(victim->first);
         }
         if (chance(0.005)) limit(*std::next(frames_.begin(), below(std::uint32_t(frames_.size()))));
         if (frames_.size() > 1 && chance(0.001)) end_frame(frames_.begin()->first);
+        if (chance(0.002)) exclude(frames_.begin()->first);
+    }
+
+    /// A worker finds that it cannot render the frame; another one can.
+    void exclude(std::uint64_t frame) {
+        const std::uint64_t worker = workers_.begin()->first;
+        scheduler_.exclude(worker, frame);
+        excluded_.insert({worker, frame});
+        std::erase_if(workers_.begin()->second.holds,
+                      [&](const TileTask& t) { return t.frame == frame; });
+        add_worker();
+        scheduler_.scene_ready(last_worker_, "scene", 1);
+        useless_.erase(last_worker_);
+        immortal_ = last_worker_;
     }
 
     void limit(std::pair<const std::uint64_t, Frame>& entry) {
@@ -124,6 +138,7 @@ private:
     void hand_out() {
         for (const auto& [id, task] : scheduler_.assign(now_)) {
             ASSERT_FALSE(useless_.contains(id)) << "worker has another version of the scene";
+            ASSERT_FALSE(excluded_.contains({id, task.frame})) << "worker cannot render this frame";
             Worker& worker = workers_.at(id);
             Frame& frame = frames_.at(task.frame);
             const std::optional<std::uint32_t> run = run_of(frame.spec, task);
@@ -183,6 +198,8 @@ private:
     std::uint64_t last_worker_ = 0;
     std::map<std::uint64_t, Worker> workers_;
     std::set<std::uint64_t> useless_;
+    std::uint64_t immortal_ = 0;  ///< lives on so that excluded frames complete
+    std::set<std::pair<std::uint64_t, std::uint64_t>> excluded_;
     std::map<std::uint64_t, Frame> frames_;
     std::vector<Work> work_;
 };

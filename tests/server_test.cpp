@@ -1,0 +1,490 @@
+// A server in this process with scripted peers over loopback: who is refused and why, what breaks
+// one session and no other, and that a viewer gets the exact picture whatever happens to workers.
+
+#include "server/server.h"
+
+#include <gtest/gtest.h>
+
+#include <cstring>
+
+#include "common/check.h"
+#include "common/scene_sync.h"
+#include "tests/fake_answer.h"
+#include "tests/loopback.h"
+
+namespace tessera {
+namespace {
+
+using namespace std::chrono_literals;
+
+/// A server whose clock of patience runs fast.
+struct Host {
+    asio::io_context io;
+    Server server;
+
+    explicit Host(const std::string& token = "")
+        : server(io, {.listen = "127.0.0.1:0", .token = token, .handshake_deadline = 200ms}) {
+        server.start();
+    }
+
+    /// Runs a test's coroutine, then stops the server, so that everything comes to an end.
+    template <class Body>
+    void run(Body body) {
+        tessera::run(io, [&]() -> asio::awaitable<void> {
+            co_await body();
+            server.stop();
+        });
+    }
+};
+
+Hello hello_of(Role role) {
+    return {.role = role, .build = "test", .token = {}, .name = "peer", .threads = 2};
+}
+
+asio::awaitable<std::shared_ptr<Connection>> say_hello(Host& host, Hello hello) {
+    const auto connection = co_await connect(parse_address(host.server.address()));
+    connection->send({hello, {}});
+    co_return connection;
+}
+
+asio::awaitable<std::shared_ptr<Connection>> join(Host& host, Role role) {
+    const auto connection = co_await say_hello(host, hello_of(role));
+    const Message answer = co_await connection->receive();
+    EXPECT_TRUE(answer.get<Welcome>());
+    co_return connection;
+}
+
+/// The next message of type T; pings are answered, others passed over.
+template <class T>
+asio::awaitable<Message> receive(std::shared_ptr<Connection> connection) {
+    for (;;) {
+        Message message = co_await connection->receive();
+        if (const auto* ping = message.get<Ping>()) connection->send({Pong{ping->stamp}, {}});
+        if (message.get<T>()) co_return message;
+    }
+}
+
+/// Whether the server closes the connection.
+asio::awaitable<bool> closes(std::shared_ptr<Connection> connection) {
+    try {
+        for (;;) co_await connection->receive();
+    } catch (const boost::system::system_error&) {
+        co_return true;
+    }
+}
+
+struct WorkerScript {
+    int dies_after = -1;  ///< answers, then the connection closes
+    int ignores = 0;      ///< tasks at the beginning
+    bool answers_twice = false;
+    bool answers_wrong = false;     ///< with a tile of the wrong size
+    std::string cannot_build = {};  ///< reason
+    std::string cannot_render = {};
+};
+
+/// Builds nothing and renders made-up tiles; ends with its connection.
+asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
+    const auto connection = co_await join(host, Role::worker);
+    SceneReceiver scenes;
+    std::map<std::uint64_t, FrameSpec> frames;
+    for (int answers = 0; answers != script.dies_after;) {
+        const Message message = co_await connection->receive();
+        if (const auto* update = message.get<SceneUpdate>())
+            connection->send({scenes.update(*update), {}});
+        if (const auto* chunk = message.get<BlobChunk>()) scenes.add(*chunk, message.payload.bytes);
+        if (const auto ready = scenes.take_ready()) {
+            SceneReady report;
+            report.scene = ready->name;
+            report.version = ready->scene->version;
+            report.build_seconds = 0.5;
+            if (script.cannot_build.empty())
+                connection->send({report, {}});
+            else
+                connection->send({Failure{0, script.cannot_build}, {}});
+        }
+        if (const auto* begin = message.get<FrameBegin>()) {
+            frames[begin->spec.frame] = begin->spec;
+            if (!script.cannot_render.empty())
+                connection->send({Failure{begin->spec.frame, script.cannot_render}, {}});
+        }
+        if (const auto* ping = message.get<Ping>()) connection->send({Pong{ping->stamp}, {}});
+        const auto* task = message.get<TileTask>();
+        if (!task || !script.cannot_render.empty() || script.ignores-- > 0) continue;
+        TileResult result = fake_answer(frames.at(task->frame), *task);
+        if (script.answers_wrong) result.data.pop_back();
+        if (script.answers_twice) connection->send_bulk({result, {}});
+        connection->send_bulk({std::move(result), {}});
+        ++answers;
+    }
+    co_await connection->close_when_sent();
+}
+
+void start_worker(Host& host, WorkerScript script = {}) {
+    asio::co_spawn(host.io, fake_worker(host, script), [](std::exception_ptr) {});
+}
+
+SceneBundle small_scene(float size) {
+    SceneBundle bundle;
+    Mesh mesh;
+    mesh.positions = {{0, 0, 0}, {size, 0, 0}, {0, size, 0}};
+    mesh.triangles = {{0, 1, 2}};
+    bundle.scene.objects.push_back({.name = "o", .mesh = add_mesh(bundle, mesh), .materials = {0}});
+    bundle.scene.materials.emplace_back();
+    bundle.scene.instances.push_back({.name = "i"});
+    return bundle;
+}
+
+asio::awaitable<void> upload(std::shared_ptr<Connection> viewer, SceneBundle bundle,
+                             std::uint64_t version = 1) {
+    const SceneVersion next{.version = version, .scene = bundle.scene};
+    viewer->send({SceneUpdate{"scene", diff(SceneVersion{}, next)}, {}});
+    const Message request = co_await receive<BlobRequest>(viewer);
+    co_await send_blobs(viewer, bundle.blobs, request.get<BlobRequest>()->blobs);
+    const Message ready = co_await receive<SceneReady>(viewer);
+    EXPECT_EQ(ready.get<SceneReady>()->version, version);
+}
+
+FrameRequest small_request(std::uint64_t number = 1) {
+    FrameRequest request;
+    request.request = number;
+    request.spec.scene = "scene";
+    request.spec.size = {150, 100};
+    request.spec.extra = ChannelSet{}.with(Channel::albedo).with(Channel::depth);
+    return request;
+}
+
+struct Picture {
+    std::map<Channel, std::vector<float>> channels;
+    FrameStatistics statistics;
+    std::vector<FrameProgress> progress;
+    std::string failure;
+};
+
+/// Receives `count` frames to their ends, by request number.
+asio::awaitable<std::map<std::uint64_t, Picture>> pictures(std::shared_ptr<Connection> viewer,
+                                                           int count) {
+    std::map<std::uint64_t, Picture> out;
+    while (count > 0) {
+        const Message message = co_await viewer->receive();
+        if (const auto* progress = message.get<FrameProgress>())
+            out[progress->request].progress.push_back(*progress);
+        if (const auto* chunk = message.get<PictureChunk>()) {
+            std::vector<float>& values = out[chunk->request].channels[chunk->channel];
+            values.resize(chunk->total / sizeof(float));
+            std::memcpy(reinterpret_cast<std::byte*>(values.data()) + chunk->offset,
+                        message.payload.bytes.data(), message.payload.bytes.size());
+        }
+        if (const auto* failure = message.get<Failure>())
+            out[failure->request].failure = failure->reason;
+        if (const auto* done = message.get<FrameDone>())
+            out[done->request].statistics = done->statistics;
+        if (message.get<Failure>() || message.get<FrameDone>()) --count;
+    }
+    co_return out;
+}
+
+asio::awaitable<Picture> render(std::shared_ptr<Connection> viewer, FrameRequest request) {
+    viewer->send({request, {}});
+    auto received = co_await pictures(viewer, 1);
+    co_return received.at(request.request);
+}
+
+/// The picture that the fake answers add up to.
+void expect_exact(const Picture& got, const FrameSpec& spec) {
+    FrameAssembler assembler(spec);
+    FrameSums sums(spec);
+    for (TileTask task : all_tasks(spec)) {
+        assembler.add(fake_answer(spec, task));
+        if (std::optional<RunBuffer> run = assembler.take_complete()) {
+            sums.fold(*run, 0, spec.size.height);
+            sums.finish_run(*run);
+            assembler.run_folded(std::move(*run));
+        }
+    }
+    ASSERT_EQ(got.failure, "");
+    ASSERT_EQ(got.channels.size(), 3u);
+    EXPECT_EQ(got.channels.at(Channel::radiance), sums.picture().data);
+    EXPECT_EQ(got.channels.at(Channel::albedo), sums.channel(Channel::albedo).data);
+    EXPECT_EQ(got.channels.at(Channel::depth), sums.channel(Channel::depth).data);
+    EXPECT_EQ(got.statistics.passes, spec.settings.passes);
+    EXPECT_EQ(got.statistics.error_estimate, sums.error_estimate());
+}
+
+// ---- Who comes in -------------------------------------------------------------------------------
+
+void expect_refused(Hello hello, const std::string& advice) {
+    Host host("secret");
+    host.run([&]() -> asio::awaitable<void> {
+        const auto peer = co_await say_hello(host, hello);
+        const Message answer = co_await peer->receive();
+        EXPECT_TRUE(answer.get<Refused>());
+        if (!answer.get<Refused>()) co_return;
+        EXPECT_NE(answer.get<Refused>()->reason.find(advice), std::string::npos)
+            << answer.get<Refused>()->reason;
+        EXPECT_TRUE(co_await closes(peer));
+    });
+}
+
+TEST(Server, another_protocol_version_is_refused) {
+    Hello hello = hello_of(Role::worker);
+    hello.token = "secret";
+    hello.protocol = protocol_version + 1;
+    expect_refused(hello, "install the same release");
+}
+
+TEST(Server, a_wrong_token_is_refused) {
+    Hello hello = hello_of(Role::viewer);
+    for (const char* token : {"", "secreT", "secret "}) {
+        hello.token = token;
+        expect_refused(hello, "TESSERA_TOKEN");
+    }
+}
+
+TEST(Server, the_right_token_is_welcome) {
+    Host host("secret");
+    host.run([&]() -> asio::awaitable<void> {
+        Hello hello = hello_of(Role::viewer);
+        hello.token = "secret";
+        const auto peer = co_await say_hello(host, hello);
+        const Message answer = co_await peer->receive();
+        EXPECT_TRUE(answer.get<Welcome>());
+    });
+}
+
+TEST(Server, listens_beyond_loopback_only_with_a_token) {
+    asio::io_context io;
+    EXPECT_THROW(Server(io, {.listen = "0.0.0.0:0", .token = ""}), UserError);
+    EXPECT_NO_THROW(Server(io, {.listen = "0.0.0.0:0", .token = "secret"}));
+}
+
+TEST(Server, a_port_that_is_taken_is_the_users_fault) {
+    Host host;
+    try {
+        Server second(host.io, {.listen = host.server.address(), .token = ""});
+        FAIL() << "two servers on one port";
+    } catch (const UserError& error) {
+        EXPECT_NE(std::string(error.what()).find(host.server.address()), std::string::npos);
+    }
+}
+
+TEST(Server, a_stranger_that_says_nothing_is_sent_away) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto peer = co_await connect(parse_address(host.server.address()));
+        EXPECT_TRUE(co_await closes(peer));
+    });
+}
+
+TEST(Server, malformed_bytes_close_that_session_only) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        const Address address = parse_address(host.server.address());
+        tcp::socket vandal(host.io);
+        co_await vandal.async_connect(
+            {asio::ip::make_address(address.host), std::uint16_t(std::stoi(address.port))},
+            asio::use_awaitable);
+        const std::string noise(100, 'x');
+        co_await asio::async_write(vandal, asio::buffer(noise), asio::use_awaitable);
+        boost::system::error_code end;
+        char c;
+        co_await asio::async_read(vandal, asio::buffer(&c, 1),
+                                  asio::redirect_error(asio::use_awaitable, end));
+        EXPECT_TRUE(end);
+        // A viewer that sends what only workers may is no better.
+        const auto confused = co_await join(host, Role::viewer);
+        confused->send({SceneReady{}, {}});
+        EXPECT_TRUE(co_await closes(confused));
+
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->viewers, 1u);
+    });
+}
+
+// ---- Frames -------------------------------------------------------------------------------------
+
+/// One viewer, these workers, one frame: the exact picture.
+Picture render_with(std::vector<WorkerScript> workers, FrameRequest request = small_request()) {
+    Host host;
+    Picture out;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        co_await upload(viewer, small_scene(1));
+        for (const WorkerScript& script : workers) start_worker(host, script);
+        out = co_await render(viewer, request);
+    });
+    return out;
+}
+
+TEST(Server, a_viewer_gets_the_exact_picture) {
+    const Picture picture = render_with({{}, {}});
+    expect_exact(picture, small_request().spec);
+    EXPECT_EQ(picture.statistics.build_seconds, 0.5);
+    std::uint64_t tiles = 0;
+    for (const WorkerShare& share : picture.statistics.workers) tiles += share.tiles;
+    EXPECT_EQ(tiles, all_tasks(small_request().spec).size());
+    EXPECT_EQ(picture.statistics.rays, 10 * tiles);
+    ASSERT_FALSE(picture.progress.empty());
+    EXPECT_EQ(picture.progress.front().workers, 0u);
+}
+
+TEST(Server, the_path_integrator_adds_up_runs_of_passes) {
+    FrameRequest request = small_request();
+    request.spec.settings.integrator = Integrator::path;
+    request.spec.settings.passes = 100;
+    expect_exact(render_with({{}}, request), request.spec);
+}
+
+TEST(Server, dying_workers_do_not_change_a_bit) {
+    const Picture picture =
+        render_with({{.dies_after = 0}, {.dies_after = 20}, {.dies_after = 5}, {}});
+    expect_exact(picture, small_request().spec);
+    EXPECT_GT(picture.statistics.tiles_reissued, 0u);
+}
+
+TEST(Server, a_worker_that_answers_twice_does_not_change_a_bit) {
+    expect_exact(render_with({{.answers_twice = true}}), small_request().spec);
+}
+
+TEST(Server, tiles_that_a_worker_keeps_to_itself_go_to_another) {
+    expect_exact(render_with({{.ignores = 3}, {}}), small_request().spec);
+}
+
+TEST(Server, a_worker_that_sends_broken_tiles_is_dropped) {
+    expect_exact(render_with({{.answers_wrong = true}, {}}), small_request().spec);
+}
+
+TEST(Server, a_scene_that_only_some_workers_can_build_is_rendered_by_the_others) {
+    expect_exact(render_with({{.cannot_build = "too large"}, {.cannot_render = "no memory"}, {}}),
+                 small_request().spec);
+}
+
+TEST(Server, a_scene_that_no_worker_can_build_is_reported_with_the_reason) {
+    const Picture picture = render_with({{.cannot_build = "mesh 3 is broken"}});
+    EXPECT_NE(picture.failure.find("mesh 3 is broken"), std::string::npos) << picture.failure;
+    EXPECT_NE(render_with({{.cannot_render = "no memory"}}).failure.find("no memory"),
+              std::string::npos);
+}
+
+TEST(Server, an_unknown_scene_is_reported_by_name) {
+    Host host;
+    host.server.add_scene("loaded", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        const Picture none = co_await render(viewer, small_request());
+        EXPECT_NE(none.failure.find("'scene'"), std::string::npos) << none.failure;
+        EXPECT_NE(none.failure.find("loaded"), std::string::npos) << none.failure;
+    });
+}
+
+TEST(Server, srgb8_is_the_tone_mapped_picture) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        start_worker(host);
+        co_await upload(viewer, small_scene(1));
+        FrameRequest request = small_request();
+        request.spec.extra = {};
+        const Picture linear = co_await render(viewer, request);
+        request.format = PictureFormat::srgb8;
+        request.tone_map.exposure = -1;
+        viewer->send({request, {}});
+        const Message message = co_await receive<PictureChunk>(viewer);
+        Image image(request.spec.size, 3);
+        image.data = linear.channels.at(Channel::radiance);
+        const std::vector<std::uint8_t> expected = to_srgb8(image, request.tone_map);
+        EXPECT_TRUE(std::ranges::equal(std::as_bytes(std::span(expected)), message.payload.bytes));
+    });
+}
+
+TEST(Server, viewers_share_the_workers_and_each_has_its_own_scene) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        start_worker(host);
+        const auto a = co_await join(host, Role::viewer);
+        const auto b = co_await join(host, Role::viewer);
+        co_await upload(a, small_scene(1));
+        co_await upload(b, small_scene(2));
+        for (const auto& viewer : {a, b})
+            for (std::uint64_t number : {1, 2, 3}) viewer->send({small_request(number), {}});
+        for (const auto& viewer : {a, b}) {
+            const auto received = co_await pictures(viewer, 3);
+            EXPECT_EQ(received.size(), 3u);
+            for (const auto& [number, picture] : received)
+                expect_exact(picture, small_request().spec);
+        }
+        a->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(a);
+        EXPECT_EQ(status.get<Status>()->frames_done, 6u);
+        EXPECT_EQ(status.get<Status>()->scenes.size(), 2u);
+        EXPECT_EQ(status.get<Status>()->workers.size(), 2u);
+    });
+}
+
+TEST(Server, an_edited_scene_is_rendered_in_its_newest_version) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        for (std::uint64_t version = 1; version <= 3; ++version) {
+            co_await upload(viewer, small_scene(float(version)), version);
+            expect_exact(co_await render(viewer, small_request(version)), small_request().spec);
+        }
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->scenes.size(), 1u);
+        EXPECT_EQ(status.get<Status>()->scenes.front().version, 3u);
+    });
+}
+
+TEST(Server, a_cancelled_frame_ends_and_its_scene_goes_with_the_viewer) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        const auto other = co_await join(host, Role::viewer);
+        co_await upload(viewer, small_scene(1));
+        viewer->send({small_request(1), {}});
+        viewer->send({small_request(2), {}});
+        viewer->send({FrameCancel{1}, {}});
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->frames_in_flight, 1u);
+        viewer->close();
+        // The server sees the end of a connection whenever it comes to it.
+        for (;;) {
+            other->send({StatusRequest{}, {}});
+            const Message after = co_await receive<Status>(other);
+            if (after.get<Status>()->viewers == 2) continue;
+            EXPECT_EQ(after.get<Status>()->frames_in_flight, 0u);
+            EXPECT_TRUE(after.get<Status>()->scenes.empty());
+            break;
+        }
+    });
+}
+
+TEST(Server, passes_stop_at_the_error_limit) {
+    FrameRequest request = small_request();
+    request.spec.settings.passes = 100000;
+    request.error_limit = 0.05;
+    const Picture picture = render_with({{}, {}}, request);
+    EXPECT_LE(picture.statistics.error_estimate, 0.05);
+    EXPECT_GT(picture.statistics.error_estimate, 0.0);
+    FrameSpec expected = request.spec;
+    expected.settings.passes = picture.statistics.passes;
+    expect_exact(picture, expected);
+}
+
+TEST(Server, passes_stop_at_the_time_limit) {
+    FrameRequest request = small_request();
+    request.spec.settings.passes = 1u << 20;
+    request.time_limit = 0.05;
+    const Picture picture = render_with({{}}, request);
+    FrameSpec expected = request.spec;
+    expected.settings.passes = picture.statistics.passes;
+    expect_exact(picture, expected);
+}
+
+}  // namespace
+}  // namespace tessera
