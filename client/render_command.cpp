@@ -168,12 +168,31 @@ void write_statistics(const std::string& file, double load_seconds, const FrameS
     if (!out.flush()) throw UserError(fmt::format("cannot write {}", file));
 }
 
-void show_progress(ProgressBar& bar, const FrameProgress& p) {
-    if (p.workers == 0) bar.note("no worker is ready: waiting for one");
-    const std::string error =
-        p.error_estimate > 0 ? fmt::format(", error about {:.4f}", p.error_estimate) : "";
-    bar.show(p.tiles_done, p.tiles_total, fmt::format("{} workers{}", p.workers, error));
-}
+/// Shows a frame's progress, and says so when it stands still for want of workers.
+class ProgressView {
+public:
+    explicit ProgressView(ProgressBar& bar) : bar_(bar) {}
+
+    void report(const FrameProgress& p) {
+        if (p.workers > 0)
+            idle_since_.reset();
+        else if (!idle_since_)
+            idle_since_ = Clock::now();
+        const std::string error =
+            p.error_estimate > 0 ? fmt::format(", error about {:.4f}", p.error_estimate) : "";
+        bar_.show(p.tiles_done, p.tiles_total, fmt::format("{} workers{}", p.workers, error));
+    }
+
+    void tick() {
+        constexpr std::chrono::seconds patience{1};
+        if (idle_since_ && Clock::now() - *idle_since_ > patience)
+            bar_.note("no worker is ready: waiting for one");
+    }
+
+private:
+    ProgressBar& bar_;
+    std::optional<Clock::time_point> idle_since_;
+};
 
 LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
     LoadedScene loaded = load_scene(options.scene);
@@ -192,19 +211,21 @@ void run(const RenderOptions& options) {
     const std::chrono::duration<double> load_time = Clock::now() - load_start;
     const Camera camera = chosen_camera(options, loaded.bundle, bar);
 
+    ProgressView view(bar);
     std::optional<LocalCluster> cluster;
     if (options.server.empty()) cluster.emplace(options.cluster);
     RenderClient client({.address = cluster ? cluster->address() : options.server,
                          .token = cluster ? cluster->token() : token_from_environment(),
                          .tick = [&] {
                              interrupt.check();
+                             view.tick();
                              if (cluster) cluster->check_alive();
                          }});
     const std::string name = std::filesystem::path(options.scene).filename().string();
     client.upload_scene(name, loaded.bundle);
     const FrameRequest request = request_of(options, name, camera);
     const RenderedFrame frame =
-        client.render(request, [&](const FrameProgress& p) { show_progress(bar, p); });
+        client.render(request, [&](const FrameProgress& p) { view.report(p); });
     write_pictures(options, request, frame);
     if (!options.stats.empty())
         write_statistics(options.stats, load_time.count(), frame.statistics);

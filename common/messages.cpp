@@ -309,9 +309,11 @@ void unpack(const wire::SceneDelta& in, SceneDelta& v) {
 void pack(const SceneUpdate& v, wire::SceneUpdate& out) {
     out.set_scene(v.scene);
     pack(v.delta, *out.mutable_delta());
+    out.set_tracer(pack_enum<wire::Tracer>(v.tracer));
 }
 void unpack(const wire::SceneUpdate& in, SceneUpdate& v) {
     require_set(in.has_delta(), "delta");
+    v.tracer = unpack_enum(in.tracer(), TracerKind::embree, "tracer");
     v.scene = in.scene();
     unpack(in.delta(), v.delta);
 }

@@ -69,6 +69,7 @@ struct Refused {
 struct SceneUpdate {
     std::string scene;
     SceneDelta delta;
+    TracerKind tracer = TracerKind::kdtree;  ///< what a worker builds before it calls itself ready
 
     bool operator==(const SceneUpdate&) const = default;
 };

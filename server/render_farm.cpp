@@ -217,6 +217,13 @@ const ReadyScene* RenderFarm::wanted_version(const std::string& name) const {
     return nullptr;
 }
 
+/// What the oldest frame in flight asks for.
+TracerKind RenderFarm::wanted_tracer(const std::string& name) const {
+    for (const auto& [frame, job] : jobs_)
+        if (job->scene.name == name) return job->request.spec.settings.tracer;
+    return TracerKind::kdtree;
+}
+
 void RenderFarm::sync_scene(const std::string& name) {
     const ReadyScene* wanted = wanted_version(name);
     if (!wanted) return;
@@ -224,7 +231,8 @@ void RenderFarm::sync_scene(const std::string& name) {
 }
 
 void RenderFarm::sync_worker(WorkerSession& worker, const ReadyScene& scene) {
-    if (worker.bring(scene)) scheduler_.scene_gone(worker.id(), scene.name);
+    if (worker.bring(scene, wanted_tracer(scene.name)))
+        scheduler_.scene_gone(worker.id(), scene.name);
 }
 
 /// Ends frames of a scene that no worker can build or render.

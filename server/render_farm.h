@@ -73,6 +73,7 @@ private:
     void sync_scene(const std::string& name);
     void sync_worker(WorkerSession& worker, const ReadyScene& scene);
     const ReadyScene* wanted_version(const std::string& name) const;
+    TracerKind wanted_tracer(const std::string& name) const;
     void fail_if_hopeless(const std::string& scene);
     std::string why_hopeless(const Job& job) const;
 

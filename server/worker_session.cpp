@@ -78,7 +78,7 @@ void WorkerSession::send_blobs_of(const BlobRequest& request) {
                    });
 }
 
-bool WorkerSession::bring(const ReadyScene& scene) {
+bool WorkerSession::bring(const ReadyScene& scene, TracerKind tracer) {
     const auto held = scenes_.find(scene.name);
     const bool known = held != scenes_.end();
     if (known && held->second.sent.scene->version == scene.scene->version) return false;
@@ -89,7 +89,7 @@ bool WorkerSession::bring(const ReadyScene& scene) {
     SceneState& state =
         scenes_[scene.name] = {.sent = scene, .ready = false, .report = {}, .failure = {}};
     try {
-        connection_->send({SceneUpdate{scene.name, delta}, {}});
+        connection_->send({SceneUpdate{scene.name, delta, tracer}, {}});
         unanswered_.push_back(scene.name);
     } catch (const UserError& too_large) {
         state.failure = too_large.what();

@@ -24,8 +24,8 @@ public:
     void close() { connection_->close(); }
 
     /// Sends what leads from the version it has to this one, unless it is there or on its way.
-    /// Returns whether an update was sent.
-    bool bring(const ReadyScene& scene);
+    /// The worker builds `tracer` with it. Returns whether an update was sent.
+    bool bring(const ReadyScene& scene, TracerKind tracer);
     /// Returns whether the worker had it.
     bool drop(const std::string& scene);
     void hand_out(const FrameSpec& spec, const TileTask& task);

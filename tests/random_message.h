@@ -154,7 +154,7 @@ private:
     Welcome make_one(Welcome) { return {.peer = big(), .build = text(), .scenes = names()}; }
     Refused make_one(Refused) { return {.reason = name()}; }
     SceneUpdate make_one(SceneUpdate) {
-        SceneUpdate out{.scene = name(), .delta = {}};
+        SceneUpdate out{.scene = name(), .delta = {}, .tracer = one_of(TracerKind::embree)};
         out.delta.base_version = below(1000);
         out.delta.next_version = 1000 + big() / 2;
         out.delta.meshes = table<BlobId>();

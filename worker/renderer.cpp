@@ -236,6 +236,8 @@ const ScenePlan& Renderer::plan() const { return state_->plan; }
 
 double Renderer::build_seconds() const { return state_->build_seconds; }
 
+void Renderer::prepare(TracerKind tracer) { state_->tracer(tracer); }
+
 void Renderer::begin_frame(const FrameSpec& spec) {
     if (state_->find(spec.frame)) return;
     const auto frame = std::make_shared<FrameState>(spec, state_->surfaces, state_->lights,

@@ -24,8 +24,8 @@ struct RendererConfig {
 
 class Renderer {
 public:
-    /// Decodes meshes and textures and builds the tracer lazily, when a frame first asks for its
-    /// kind. Throws std::runtime_error naming a blob that is missing or broken.
+    /// Decodes meshes and textures.
+    /// Throws std::runtime_error naming a blob that is missing or broken.
     Renderer(const Scene& scene, const BlobStore& blobs, const RendererConfig& config);
     ~Renderer();
 
@@ -33,6 +33,8 @@ public:
     /// Seconds spent building tracers so far.
     double build_seconds() const;
 
+    /// Builds the tracer, so that frames which use it begin at once; others build theirs then.
+    void prepare(TracerKind tracer);
     /// Makes ready for tasks of `spec`; may be called again for a frame already begun. Thread-safe.
     void begin_frame(const FrameSpec& spec);
     /// Drops what begin_frame made. Tasks of that frame still running finish safely.

@@ -86,6 +86,7 @@ void Session::run_in(ThreadPool& pool, Work work, Done done) {
 
 void Session::on(const SceneUpdate& update) {
     connection_->send({receiver_.update(update), {}});
+    tracers_[update.scene] = update.tracer;
     build_next_scene();
 }
 
@@ -101,11 +102,12 @@ void Session::build_next_scene() {
     };
     run_in(
         pools_.scenes,
-        [scene = *scene, threads = int(build_threads_)] {
+        [scene = *scene, tracer = tracers_[scene->name], threads = int(build_threads_)] {
             Built built;
             built.error = error_of([&] {
                 built.renderer = std::make_shared<Renderer>(scene.scene->scene, scene.blobs,
                                                             RendererConfig{.threads = threads});
+                built.renderer->prepare(tracer);
             });
             return built;
         },
@@ -143,6 +145,7 @@ void Session::report_ready(const std::string& scene, std::uint64_t version,
 
 void Session::on(const SceneDrop& drop) {
     receiver_.drop(drop.scene);
+    tracers_.erase(drop.scene);
     renderers_.erase(drop.scene);
 }
 

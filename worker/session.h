@@ -83,6 +83,7 @@ private:
     WorkerPools& pools_;
     unsigned build_threads_;
     SceneReceiver receiver_;
+    std::map<std::string, TracerKind> tracers_;  ///< by scene: what to build with it
     bool building_ = false;
     std::map<std::string, std::deque<BuiltVersion>> renderers_;  ///< by scene, oldest first
     std::map<std::uint64_t, std::shared_ptr<Frame>> frames_;
