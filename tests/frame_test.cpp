@@ -99,13 +99,14 @@ TEST(Frame, picture_is_the_mean_of_radiance_and_filtered_irradiance) {
         return std::span(run.data).subspan(from * n, floats * n);
     };
     std::vector<float> filtered(3 * n);
-    filter_irradiance({.picture = spec.size, .camera = spec.camera},
-                      {.area = {0, 0, spec.size.width, spec.size.height},
-                       .irradiance = plane(3, 3),
-                       .normal = plane(9, 3),
-                       .depth = plane(12, 1),
-                       .surface = plane(13, 1)},
-                      {0, 0, spec.size.width, spec.size.height}, filtered);
+    filter_irradiance(
+        {.picture = spec.size, .camera = spec.camera, .window = int(spec.settings.interleave)},
+        {.area = {0, 0, spec.size.width, spec.size.height},
+         .irradiance = plane(3, 3),
+         .normal = plane(9, 3),
+         .depth = plane(12, 1),
+         .surface = plane(13, 1)},
+        {0, 0, spec.size.width, spec.size.height}, filtered);
     const Image picture = frame.sums.picture();
     for (std::size_t i = 0; i < 3 * n; ++i)
         ASSERT_FLOAT_EQ(picture.data[i], plane(0, 3)[i] + plane(6, 3)[i] / pi * filtered[i]);
