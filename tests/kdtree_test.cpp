@@ -6,7 +6,7 @@
 #include <cstring>
 #include <set>
 
-#include "tests/tracer_scenes.h"
+#include "worker/bench/tracer_scenes.h"
 #include "worker/clip.h"
 
 namespace tessera {

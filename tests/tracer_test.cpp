@@ -9,8 +9,9 @@
 #include "common/check.h"
 #include "common/generator.h"
 #include "common/scene_io.h"
-#include "tests/tracer_scenes.h"
 #include "worker/affine.h"
+#include "worker/bench/judge.h"
+#include "worker/bench/tracer_scenes.h"
 #include "worker/triangle.h"
 
 namespace tessera {
@@ -36,53 +37,6 @@ Hit brute_force(const TestScene& scene, const Ray& world_ray) {
         }
     }
     return best;
-}
-
-/// What an exact tracer may answer: the closest t of triangles that the ray surely hits, and the
-/// closest of those that it hits or grazes within rounding.
-struct Verdict {
-    double sure = infinity;
-    double possible = infinity;
-};
-
-/// Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in double.
-Verdict judge(const TestScene& scene, const Ray& ray) {
-    using glm::dmat4;
-    using glm::dvec3;
-    using glm::dvec4;
-    Verdict verdict;
-    const dvec3 org(ray.org), dir(ray.dir);
-    for (const TracerInstance& instance : scene.instances) {
-        if (!inverse_affine(instance.world_from_object)) continue;
-        const dmat4 m(instance.world_from_object);
-        const Mesh& mesh = scene.meshes[instance.object];
-        for (const uvec3& v : mesh.triangles) {
-            const dvec3 a(m * dvec4(mesh.positions[v.x], 1)), b(m * dvec4(mesh.positions[v.y], 1)),
-                c(m * dvec4(mesh.positions[v.z], 1));
-            const dvec3 p = cross(dir, c - a);
-            const double det = dot(p, b - a);
-            const dvec3 s = org - a, q = cross(s, b - a);
-            const double u = dot(s, p) / det, w = dot(dir, q) / det, t = dot(c - a, q) / det;
-            // Float rounds a ray and a transformed origin by 2^-24 of their coordinates.
-            const double reach = length(s) + length(b - a) + length(c - a) + length(org);
-            const double height =
-                std::abs(det) / (length(dir) * std::max(length(b - a), length(c - a)));
-            const double slack = 1e-6 * reach / height;
-            const double inside = std::min({u, w, 1 - u - w});
-            const double t_slack = 1e-6 * reach / length(dir) + slack * std::abs(t);
-            if (inside > slack && t > ray.tmin + t_slack && t < ray.tmax - t_slack)
-                verdict.sure = std::min(verdict.sure, t + t_slack);
-            if (!(inside < -slack || t < ray.tmin - t_slack || t > ray.tmax + t_slack))
-                verdict.possible =
-                    std::min(verdict.possible, std::isfinite(t - t_slack) ? t - t_slack : 0);
-        }
-    }
-    return verdict;
-}
-
-bool allowed(const Verdict& verdict, const Hit& hit) {
-    const double t = hit.valid() ? double(hit.t) : double(infinity);
-    return t <= verdict.sure && (t >= verdict.possible || !hit.valid());
 }
 
 bool agree(const Hit& a, const Hit& b) {
@@ -120,12 +74,12 @@ Tally compare_with_embree(const TestScene& scene, int count) {
             if (agree(hits[i], embree_hits[i])) continue;
             const Verdict verdict = judge(scene, rays[i]);
             ++tally.disagreements;
-            if (!allowed(verdict, hits[i])) {
+            if (!verdict.allows(hits[i])) {
                 ++tally.wrong;
                 ADD_FAILURE() << RayMaker::name(kind) << " ray " << i << ": t " << hits[i].t
                               << ", surely " << verdict.sure << ", possibly " << verdict.possible;
             }
-            tally.embree_wrong += !allowed(verdict, embree_hits[i]);
+            tally.embree_wrong += !verdict.allows(embree_hits[i]);
         }
     }
     std::cout << scene.name << ": " << tally.rays << " rays, " << tally.disagreements
@@ -154,16 +108,6 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
 TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 14000); }
 
 INSTANTIATE_TEST_SUITE_P(Small, TracerTest, testing::ValuesIn(small_scenes()), name_of);
-
-/// The geometry of a whole scene.
-TestScene test_scene(std::string name, const SceneBundle& bundle) {
-    TestScene out{std::move(name), {}, {}};
-    for (const Object& object : bundle.scene.objects)
-        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
-    for (const Instance& instance : bundle.scene.instances)
-        out.instances.push_back({instance.object, instance.world_from_object});
-    return out;
-}
 
 /// A few rays by brute force, many against Embree.
 void compare(const TestScene& scene, int count) {

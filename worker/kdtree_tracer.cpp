@@ -32,6 +32,11 @@ struct KdInstance {
     Affine object_from_world;
 };
 
+template <class T>
+std::size_t heap_bytes(const std::vector<T>& values) {
+    return values.capacity() * sizeof(T);
+}
+
 std::vector<Triangle> sound_triangles(const TracerObject& object) {
     std::vector<Triangle> sound;
     sound.reserve(object.triangles.size());
@@ -177,6 +182,14 @@ public:
     }
 
     Box bounds() const override { return single_ ? single_->tree.bounds : top_.bounds; }
+
+    std::size_t memory_bytes() const override {
+        std::size_t bytes = heap_bytes(top_.nodes) + heap_bytes(top_.items) +
+                            heap_bytes(instances_) + heap_bytes(objects_);
+        for (const KdObject& object : objects_)
+            bytes += heap_bytes(object.tree.nodes) + heap_bytes(object.blocks);
+        return bytes;
+    }
 
 private:
     void build_top(std::span<const TracerInstance> instances) {

@@ -54,6 +54,9 @@ public:
     /// World-space bounds of all that can be hit.
     virtual Box bounds() const = 0;
 
+    /// Memory held for tracing, copies of the geometry included.
+    virtual std::size_t memory_bytes() const = 0;
+
     Hit closest_hit(const Ray& ray) const {
         Hit hit;
         closest_hits({&ray, 1}, {&hit, 1});

@@ -1,4 +1,5 @@
-// Small scenes that are hard on a tracer, and rays that are hard on it, for the tracer's tests.
+// Small scenes that are hard on a tracer, and rays that are hard on it: for the tests and for
+// `tessera bench stability`.
 #pragma once
 
 #include <cmath>
@@ -9,6 +10,7 @@
 #include <vector>
 
 #include "common/mesh.h"
+#include "common/scene.h"
 #include "worker/tracer.h"
 
 namespace tessera {
@@ -27,6 +29,16 @@ struct TestScene {
 
 inline TestScene scene_of(std::string name, Mesh mesh) {
     return {std::move(name), {std::move(mesh)}, {{0, mat4(1)}}};
+}
+
+/// The geometry of a whole scene.
+inline TestScene test_scene(std::string name, const SceneBundle& bundle) {
+    TestScene out{std::move(name), {}, {}};
+    for (const Object& object : bundle.scene.objects)
+        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    for (const Instance& instance : bundle.scene.instances)
+        out.instances.push_back({instance.object, instance.world_from_object});
+    return out;
 }
 
 using Random = std::mt19937;
