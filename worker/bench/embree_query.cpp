@@ -89,24 +89,28 @@ void EmbreeQuery::load(std::span<const Ray> rays, std::span<const RayGroup> grou
         packets += own;
     }
     memory_.assign((packets * packet_floats_ + 15) / 16, Line{});
-    // Lanes that no ray fills have tnear > tfar, which is Embree's way to leave them out of streams.
-    for (std::uint32_t p = 0; p < packets; ++p)
-        std::fill_n(packet(p) + tfar * width_, width_, -1.0f);
-    for (std::size_t i = 0; i < rays.size(); ++i) {
-        float* const lane = packet(slots_[i] / width_) + slots_[i] % width_;
-        const auto set = [&](int field, float value) { lane[std::size_t(field) * width_] = value; };
-        for (int k = 0; k < 3; ++k) {
-            set(org_x + k, rays[i].org[k]);
-            set(dir_x + k, rays[i].dir[k]);
-        }
-        set(tnear, rays[i].tmin);
-        set(tfar, rays[i].tmax);
-        const float none = std::bit_cast<float>(RTC_INVALID_GEOMETRY_ID);
-        set(mask, none);  // all bits
-        if (use_.occlusion) continue;
-        set(geometry_id_field, none);
-        set(instance_id_field, none);
+    for (std::size_t i = 0; i < rays.size(); ++i) set_lane(slots_[i], rays[i], rays[i].tmax);
+    // Lanes that no ray fills repeat one of the packet, with tnear > tfar: Embree's way to leave
+    // them out of streams. Packets of zeros make some of its calls run for ever.
+    for (const RayGroup& group : groups)
+        for (std::uint32_t i = group.count; group.count > 0 && i % width_ != 0; ++i)
+            set_lane(slots_[group.first] + i, rays[group.first + group.count - 1], -1);
+}
+
+void EmbreeQuery::set_lane(std::uint32_t slot, const Ray& ray, float far_end) {
+    float* const lane = packet(slot / width_) + slot % width_;
+    const auto set = [&](int field, float value) { lane[std::size_t(field) * width_] = value; };
+    for (int k = 0; k < 3; ++k) {
+        set(org_x + k, ray.org[k]);
+        set(dir_x + k, ray.dir[k]);
     }
+    set(tnear, ray.tmin);
+    set(tfar, far_end);
+    const float none = std::bit_cast<float>(RTC_INVALID_GEOMETRY_ID);
+    set(mask, none);  // all bits
+    if (use_.occlusion) return;
+    set(geometry_id_field, none);
+    set(instance_id_field, none);
 }
 
 void EmbreeQuery::trace_packet(RTCScene scene, float* p, std::uint32_t lanes) {

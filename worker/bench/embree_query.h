@@ -57,6 +57,7 @@ private:
 
     float* packet(std::size_t i) { return &memory_[0].values[0] + i * packet_floats_; }
     const float* packet(std::size_t i) const { return &memory_[0].values[0] + i * packet_floats_; }
+    void set_lane(std::uint32_t slot, const Ray& ray, float far_end);
     void trace_packet(RTCScene scene, float* p, std::uint32_t lanes);
     void trace_stream(RTCScene scene, float* first, std::uint32_t packets);
 

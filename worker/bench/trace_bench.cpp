@@ -78,12 +78,18 @@ struct Mismatches {
 };
 constexpr std::uint64_t judged_at_most = 50;
 
+BenchScene load(const std::string& name, const TraceBenchConfig& config) {
+    BenchScene scene = load_bench_scene(name);
+    if (config.flatten) scene.geometry = flattened(scene.geometry);
+    return scene;
+}
+
 /// One scene seen from its camera, and all rays that follow from it.
 class TraceBench {
 public:
     TraceBench(const std::string& scene, const TraceBenchConfig& config)
         : config_(config),
-          scene_(load_bench_scene(scene)),
+          scene_(load(scene, config)),
           ours_(scene_.build_ours(1)),
           embree_(scene_.build_embree(1)),
           caches_(std::size_t(config.vpls)) {

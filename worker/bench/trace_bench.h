@@ -13,6 +13,7 @@ struct TraceBenchConfig {
     int view = 1024;      ///< width and height of the view in pixels; a multiple of 64
     int repetitions = 7;  ///< of everything; the median counts
     int vpls = 16;
+    bool flatten = false;  ///< trace all instances as one object, without a level above
 };
 
 /// Prints a table as it goes; returns the entries of `results`.

@@ -41,6 +41,19 @@ inline TestScene test_scene(std::string name, const SceneBundle& bundle) {
     return out;
 }
 
+/// All instances as one object in world space.
+inline TestScene flattened(const TestScene& scene) {
+    Mesh all;
+    for (const TracerInstance& instance : scene.instances) {
+        const Mesh& mesh = scene.meshes[instance.object];
+        const auto first = std::uint32_t(all.positions.size());
+        for (const vec3& p : mesh.positions)
+            all.positions.push_back(vec3(instance.world_from_object * vec4(p, 1)));
+        for (const uvec3& t : mesh.triangles) all.triangles.push_back(first + t);
+    }
+    return scene_of(scene.name, std::move(all));
+}
+
 using Random = std::mt19937;
 
 inline float uniform(Random& random, float lo, float hi) {
