@@ -29,7 +29,8 @@ namespace {
 
 void add_bench_command(CLI::App& app) {
     CLI::App* command = app.add_subcommand(
-        "bench", "Measure the tracer: trace, build or stability; `tessera bench --help` tells more");
+        "bench",
+        "Measure the tracer: trace, build or stability; `tessera bench --help` tells more");
     // Everything behind `bench` is tessera-bench's to understand, its --help too.
     command->prefix_command();
     command->set_help_flag();

@@ -8,9 +8,9 @@ namespace {
 
 /// What the collapse must know of each kd-node.
 struct Content {
-    Box box;                                 ///< of the items' parts in the cell
-    bool small = false;                      ///< becomes one leaf
-    std::uint32_t first = 0, count = 0;      ///< of a small node's items
+    Box box;                             ///< of the items' parts in the cell
+    bool small = false;                  ///< becomes one leaf
+    std::uint32_t first = 0, count = 0;  ///< of a small node's items
 };
 
 template <int width>

@@ -72,8 +72,8 @@ EmbreeQuery::EmbreeQuery(EmbreeCall call, RayUse use)
       width_(width_of(call)),
       packet_floats_(std::size_t(width_) * (use.occlusion ? ray_fields : ray_hit_fields)) {
     rtcInitIntersectContext(&context_);
-    context_.flags = use.coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT
-                                  : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
+    context_.flags =
+        use.coherent ? RTC_INTERSECT_CONTEXT_FLAG_COHERENT : RTC_INTERSECT_CONTEXT_FLAG_INCOHERENT;
 }
 
 void EmbreeQuery::load(std::span<const Ray> rays, std::span<const RayGroup> groups) {
@@ -118,9 +118,8 @@ void EmbreeQuery::trace_packet(RTCScene scene, float* p, std::uint32_t lanes) {
     const bool occlusion = use_.occlusion;
     switch (width_) {
         case 16:
-            occlusion
-                ? rtcOccluded16(valid, scene, &context_, reinterpret_cast<RTCRay16*>(p))
-                : rtcIntersect16(valid, scene, &context_, reinterpret_cast<RTCRayHit16*>(p));
+            occlusion ? rtcOccluded16(valid, scene, &context_, reinterpret_cast<RTCRay16*>(p))
+                      : rtcIntersect16(valid, scene, &context_, reinterpret_cast<RTCRayHit16*>(p));
             return;
         case 8:
             occlusion ? rtcOccluded8(valid, scene, &context_, reinterpret_cast<RTCRay8*>(p))

@@ -51,12 +51,12 @@ void judge_triangle(Verdict& verdict, const Segment& ray, const dvec3& a, const 
         verdict.sure = std::min(verdict.sure, t + t_slack);
     if (inside < -slack || t < ray.tmin - t_slack || t > ray.tmax + t_slack) return;
     // Of a triangle that is seen edge-on, only its box tells where it may be hit.
-    const Range range = range_in_box(ray, min(min(a, b), c), max(max(a, b), c),
-                                     std::max(precision, 1e-9) * reach);
+    const Range range =
+        range_in_box(ray, min(min(a, b), c), max(max(a, b), c), std::max(precision, 1e-9) * reach);
     if (range.lo > range.hi) return;
     const double at_box = range.lo - float_precision * (reach / speed + range.lo);
-    verdict.possible =
-        std::min(verdict.possible, std::isfinite(t - t_slack) ? std::max(t - t_slack, at_box) : at_box);
+    verdict.possible = std::min(
+        verdict.possible, std::isfinite(t - t_slack) ? std::max(t - t_slack, at_box) : at_box);
 }
 
 }  // namespace
@@ -69,8 +69,7 @@ Verdict judge(const TestScene& scene, const Ray& ray, double precision) {
         const dmat4 m(instance.world_from_object);
         const Mesh& mesh = scene.meshes[instance.object];
         for (const uvec3& v : mesh.triangles) {
-            const vec3 &a = mesh.positions[v.x], &b = mesh.positions[v.y],
-                       &c = mesh.positions[v.z];
+            const vec3 &a = mesh.positions[v.x], &b = mesh.positions[v.y], &c = mesh.positions[v.z];
             if (is_degenerate({a, b, c})) continue;
             judge_triangle(verdict, segment, dvec3(m * dvec4(a, 1)), dvec3(m * dvec4(b, 1)),
                            dvec3(m * dvec4(c, 1)), precision);

@@ -59,8 +59,8 @@ void add_trace(CLI::App& app, Options& options) {
 }
 
 void add_build(CLI::App& app, Options& options) {
-    CLI::App* command =
-        add_benchmark(app, options, "build", "Build times, and what the strategies' trees are worth");
+    CLI::App* command = add_benchmark(app, options, "build",
+                                      "Build times, and what the strategies' trees are worth");
     add_scenes(command, options);
     command->callback([&options] {
         BuildBenchConfig config;
@@ -70,16 +70,16 @@ void add_build(CLI::App& app, Options& options) {
 }
 
 void add_stability(CLI::App& app, Options& options) {
-    CLI::App* command =
-        add_benchmark(app, options, "stability", "Wrong answers on hard cases, ours beside Embree's");
+    CLI::App* command = add_benchmark(app, options, "stability",
+                                      "Wrong answers on hard cases, ours beside Embree's");
     command->add_option("--rays", options.rays, "rays of each case")
         ->check(CLI::Range(std::uint64_t(100), std::uint64_t(1) << 40))
         ->capture_default_str();
     command->add_flag("--long", options.long_run, "100 million rays at shared edges and vertices");
     command->callback([&options] {
-        write_json(options.json, bench_stability({.rays = options.rays,
-                                                  .edge_rays = options.long_run ? 100'000'000
-                                                                                : options.rays}));
+        write_json(options.json,
+                   bench_stability({.rays = options.rays,
+                                    .edge_rays = options.long_run ? 100'000'000 : options.rays}));
     });
 }
 

@@ -1,6 +1,6 @@
-// `tessera bench stability`: rays that are hard on a tracer, and how many of them it answers wrongly
-// by the verdict of an exact argument or of double precision; ours beside Embree, as it is by
-// default and with its ROBUST flag.
+// `tessera bench stability`: rays that are hard on a tracer, and how many of them it answers
+// wrongly by the verdict of an exact argument or of double precision; ours beside Embree, as it is
+// by default and with its ROBUST flag.
 #pragma once
 
 #include <cstdint>
