@@ -28,7 +28,7 @@ Range range_in_box(const Segment& ray, const dvec3& lo, const dvec3& hi, double 
             if (to_lo > 0 || to_hi < 0) return {1, 0};
             continue;
         }
-        const auto [first, last] = std::minmax(to_lo / ray.dir[k], to_hi / ray.dir[k]);
+        const auto [first, last] = std::minmax({to_lo / ray.dir[k], to_hi / ray.dir[k]});
         range = {std::max(range.lo, first), std::min(range.hi, last)};
     }
     return range;
@@ -61,16 +61,18 @@ void judge_triangle(Verdict& verdict, const Segment& ray, const dvec3& a, const 
 
 }  // namespace
 
-Verdict judge(const TestScene& scene, const Ray& ray, double precision) {
+Verdict judge(const TestScene& scene, const Ray& ray, double precision,
+              std::optional<std::uint32_t> left_out) {
     Verdict verdict;
     const Segment segment{dvec3(ray.org), dvec3(ray.dir), ray.tmin, ray.tmax};
     for (const TracerInstance& instance : scene.instances) {
         if (!inverse_affine(instance.world_from_object)) continue;
         const dmat4 m(instance.world_from_object);
         const Mesh& mesh = scene.meshes[instance.object];
-        for (const uvec3& v : mesh.triangles) {
+        for (std::uint32_t i = 0; i < mesh.triangles.size(); ++i) {
+            const uvec3& v = mesh.triangles[i];
             const vec3 &a = mesh.positions[v.x], &b = mesh.positions[v.y], &c = mesh.positions[v.z];
-            if (is_degenerate({a, b, c})) continue;
+            if (i == left_out || is_degenerate({a, b, c})) continue;
             judge_triangle(verdict, segment, dvec3(m * dvec4(a, 1)), dvec3(m * dvec4(b, 1)),
                            dvec3(m * dvec4(c, 1)), precision);
         }

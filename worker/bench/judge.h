@@ -2,6 +2,8 @@
 // answer within rounding.
 #pragma once
 
+#include <optional>
+
 #include "worker/bench/tracer_scenes.h"
 
 namespace tessera {
@@ -16,6 +18,7 @@ struct Verdict {
         const double t = hit.valid() ? double(hit.t) : double(infinity);
         return t <= sure && (t >= possible || !hit.valid());
     }
+    bool allows(bool blocked) const { return blocked ? possible < infinity : sure == infinity; }
 };
 
 /// Relative errors of positions that a tracer is forgiven: float's, where a ray passes through an
@@ -24,7 +27,8 @@ inline constexpr double float_precision = 1e-6;
 inline constexpr double double_precision = 1e-12;
 
 /// Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in double, over
-/// every triangle that the tracer's contract counts.
-Verdict judge(const TestScene& scene, const Ray& ray, double precision = float_precision);
+/// every triangle that the tracer's contract counts, but for `left_out` of every mesh.
+Verdict judge(const TestScene& scene, const Ray& ray, double precision = float_precision,
+              std::optional<std::uint32_t> left_out = {});
 
 }  // namespace tessera

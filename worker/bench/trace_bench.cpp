@@ -316,8 +316,7 @@ void TraceBench::compare(KindIndex kind, const Block& block, const Answers& ours
         ++mismatches.judged;
         const Verdict verdict = judge(scene_.geometry, block.rays[i]);
         const auto wrong = [&](bool is_blocked, float t) {
-            if (occlusion)
-                return is_blocked ? verdict.possible == infinity : verdict.sure < infinity;
+            if (occlusion) return !verdict.allows(is_blocked);
             return !verdict.allows({.t = t, .instance = is_blocked ? 0 : no_instance});
         };
         mismatches.ours_wrong += wrong(is_hit, hit.t);

@@ -146,13 +146,13 @@ inline Mesh sphere_mesh(int stacks, int slices, float radius, vec3 centre = vec3
     return mesh;
 }
 
-inline Mesh sliver_mesh() {
+inline Mesh sliver_mesh(float width = 1e-4f) {
     Random random(3);
     Mesh mesh;
     for (int i = 0; i < 300; ++i) {
         const vec3 p = uniform_point(random, {vec3(-1), vec3(1)});
         const vec3 along = uniform_direction(random);
-        const vec3 across = 1e-4f * uniform_direction(random);
+        const vec3 across = width * uniform_direction(random);
         add_triangle(mesh, p, p + along, p + 0.5f * along + across);
     }
     return mesh;
