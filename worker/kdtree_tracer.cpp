@@ -111,6 +111,12 @@ public:
         kernels_.occluded(scene_, rays, blocked);
     }
 
+    void occluded_from(const vec3& origin, std::span<const vec3> targets,
+                       std::span<std::uint8_t> blocked, OccluderCache* cache) const override {
+        CHECK_EQ(targets.size(), blocked.size());
+        kernels_.occluded_from(scene_, origin, targets, blocked, cache);
+    }
+
     Box bounds() const override { return scene_.bounds(); }
 
 private:

@@ -291,12 +291,13 @@ public:
             edge_size = std::max(
                 edge_size, std::abs(edges[i].x) + std::abs(edges[i].y) + std::abs(edges[i].z));
         }
-        // Six roundings of 2^-24, and those of the double test; an origin in the plane tells nothing,
-        // nor do numbers so small that they vanish.
-        slack_ = height_ > plane_slack_ && edge_size > 0x1p-80
-                     ? float(0x1p-21 * edge_size * double(shaft.steepest_) +
-                             0x1p-44 * extent * reach)
-                     : infinity;
+        // Six roundings of 2^-24, and those of the double test.
+        slack_ = float(0x1p-21 * edge_size * double(shaft.steepest_) + 0x1p-44 * extent * reach);
+        // An origin in the plane tells nothing, nor do numbers so small that they vanish.
+        if (!(height_ > plane_slack_ && edge_size > 0x1p-80)) {
+            slack_ = infinity;
+            plane_slack_ = double(infinity);
+        }
     }
 
     /// The groups of which no ray surely misses.
