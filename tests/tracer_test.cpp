@@ -105,6 +105,60 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
         }
 }
 
+/// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.
+std::vector<vec3> targets_around(RayMaker& maker, Random& random, float extent) {
+    std::vector<vec3> targets;
+    const Ray view = maker.ray(int(random() % RayMaker::kinds));
+    const vec3 centre = view.org + uniform(random, 0, 1) * extent * normalize(view.dir);
+    const float size = extent * std::exp2(uniform(random, -12, 0));
+    const vec3 x = size * uniform_direction(random), y = size * uniform_direction(random);
+    const int count = 1 + int(random() % 300);
+    for (int i = 0; i < count; ++i) {
+        const int tile = i / 16, row = tile / 4 * 4 + i % 16 / 4, column = tile % 4 * 4 + i % 4;
+        vec3 p = centre + float(row) / 16 * x + float(column) / 16 * y;
+        if (random() % 100 == 0) p = maker.ray(int(random() % RayMaker::kinds)).org;
+        targets.push_back(p);
+    }
+    return targets;
+}
+
+/// Shifts what lies on a surface a little to the side the origin is on, or not at all.
+void move_onto_surfaces(const Tracer& tracer, const vec3& origin, float extent,
+                        std::vector<vec3>& targets) {
+    for (std::size_t i = 0; i < targets.size(); ++i) {
+        const Hit hit = tracer.closest_hit({origin, 0, targets[i] - origin, infinity});
+        const float back = i % 3 == 0 ? 0 : 0x1p-18f * extent;
+        if (!hit.valid()) continue;
+        const vec3 d = targets[i] - origin;
+        targets[i] = origin + hit.t * d - back * normalize(d);
+    }
+}
+
+/// Each answer must be that of the single ray.
+void expect_packets_equal_rays(const TestScene& scene, int rounds) {
+    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    RayMaker maker(scene, tracer->bounds(), 5);
+    Random random(6);
+    const float extent = std::max(length(tracer->bounds().extent()), 1.0f);
+    OccluderCache cache;
+    for (int round = 0; round < rounds; ++round) {
+        // Origins on a surface's edge now and then.
+        const Ray start = maker.ray(round % RayMaker::kinds);
+        const vec3 origin = round % 4 == 3 ? start.org + start.dir : start.org;
+        std::vector<vec3> targets = targets_around(maker, random, extent);
+        if (round % 2) move_onto_surfaces(*tracer, origin, extent, targets);
+        std::vector<std::uint8_t> blocked(targets.size(), 2), expected(targets.size());
+        tracer->occluded_from(origin, targets, blocked, round % 8 < 4 ? &cache : nullptr);
+        std::vector<Ray> rays;
+        for (const vec3& target : targets) rays.push_back({origin, 0, target - origin, 1});
+        tracer->occluded(rays, expected);
+        for (std::size_t i = 0; i < targets.size(); ++i)
+            ASSERT_EQ(blocked[i], expected[i]) << "round " << round << " target " << i;
+    }
+}
+
+TEST_P(TracerTest, PacketsAnswerAsSingleRays) { expect_packets_equal_rays(GetParam(), 400); }
+
 TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 14000); }
 
 INSTANTIATE_TEST_SUITE_P(Small, TracerTest, testing::ValuesIn(small_scenes()), name_of);

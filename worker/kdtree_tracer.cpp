@@ -37,9 +37,10 @@ WideObject<width> build_object(const TracerObject& object) {
     const KdTree tree = build_kdtree(std::uint32_t(triangles.size()), clipped, object_costs);
     WideObject<width> out;
     std::vector<Triangle> list;
-    out.tree = collapse<width>(tree, clipped, width, [&](std::span<const std::uint32_t> items) {
-        const WideLink leaf{std::uint32_t(out.blocks.size()),
-                            std::uint32_t(items.size() + width - 1) / width};
+    const std::uint32_t limit = WideLink::max_count * width;
+    out.tree = collapse<width>(tree, clipped, width, limit, [&](std::span<const std::uint32_t> items) {
+        const auto leaf = WideLink::leaf(std::uint32_t(out.blocks.size()),
+                                         std::uint32_t(items.size() + width - 1) / width);
         list.clear();
         for (const std::uint32_t item : items) list.push_back(triangles[item]);
         for (std::size_t i = 0; i < list.size(); i += width)
@@ -47,6 +48,7 @@ WideObject<width> build_object(const TracerObject& object) {
                 std::span(list).subspan(i).first(std::min<std::size_t>(width, list.size() - i))));
         return leaf;
     });
+    CHECK(out.blocks.size() <= WideLink::max_first);
     out.blocks.shrink_to_fit();
     return out;
 }
@@ -75,8 +77,10 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
         return Box{max(boxes[i].lo, cell.lo), min(boxes[i].hi, cell.hi)};
     };
     const KdTree tree = build_kdtree(std::uint32_t(boxes.size()), clipped, top_costs);
-    scene.top = collapse<width>(tree, clipped, 1, [&](std::span<const std::uint32_t> items) {
-        const WideLink leaf{std::uint32_t(scene.items.size()), std::uint32_t(items.size())};
+    const std::uint32_t limit = WideLink::max_count;
+    scene.top = collapse<width>(tree, clipped, 1, limit, [&](std::span<const std::uint32_t> items) {
+        const auto leaf =
+            WideLink::leaf(std::uint32_t(scene.items.size()), std::uint32_t(items.size()));
         scene.items.insert(scene.items.end(), items.begin(), items.end());
         return leaf;
     });
@@ -110,6 +114,12 @@ public:
     void occluded(std::span<const Ray> rays, std::span<std::uint8_t> blocked) const override {
         CHECK_EQ(rays.size(), blocked.size());
         kernels_.occluded(scene_, rays, blocked);
+    }
+
+    void occluded_from(const vec3& origin, std::span<const vec3> targets,
+                       std::span<std::uint8_t> blocked, OccluderCache* cache) const override {
+        CHECK_EQ(targets.size(), blocked.size());
+        kernels_.occluded_from(scene_, origin, targets, blocked, cache);
     }
 
     Box bounds() const override { return scene_.bounds(); }

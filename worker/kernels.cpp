@@ -19,13 +19,13 @@
 #include "hwy/foreach_target.h"
 // foreach_target.h comes first.
 #include "hwy/highway.h"
-#include "worker/ray-inl.h"
+#include "worker/shaft-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tessera {
 namespace HWY_NAMESPACE {
 
-constexpr Kernels<W> table{closest_hits, occluded, nullptr, nullptr};
+constexpr Kernels<W> table{closest_hits, occluded, occluded_from, nullptr};
 
 }  // namespace HWY_NAMESPACE
 }  // namespace tessera

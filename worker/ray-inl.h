@@ -44,8 +44,8 @@ public:
         }
     }
 
-    /// The children that the ray may meet in tmin .. t_last; where it enters them goes to `entries`.
-    HWY_INLINE Bits meets(const Node& node, float t_last, float* entries) const {
+    /// The children that the ray may meet in tmin .. t_last; where it enters them goes to `start`.
+    HWY_INLINE Mask meets(const Node& node, float t_last, Float& start) const {
         Float t_near = splat(tmin_), t_far = splat(t_last);
         for (int k = 0; k < 3; ++k) {
             const Float org = splat(org_[k]);
@@ -56,8 +56,8 @@ public:
             t_near = max_or_second(entry, t_near);
             t_far = min_or_second(exit, t_far);
         }
-        store(t_near, entries);
-        return bits(t_near <= t_far);
+        start = t_near;
+        return t_near <= t_far;
     }
 
 private:
@@ -65,38 +65,60 @@ private:
     int negative_[3];
 };
 
+HWY_INLINE Float load_links(const Node& node) {
+    return load(reinterpret_cast<const float*>(node.children));
+}
+
+/// Sorts the stack above `base`, the nearest on top.
+HWY_INLINE void bring_nearest_up(float* starts, float* links, int base, int top) {
+    for (int i = base + 1; i < top; ++i) {
+        const float start = starts[i], link = links[i];
+        int place = i;
+        for (; place != base && starts[place - 1] < start; --place) {
+            starts[place] = starts[place - 1];
+            links[place] = links[place - 1];
+        }
+        starts[place] = start;
+        links[place] = link;
+    }
+}
+
 /// Calls `leaf(link)` for the leaves that the ray may meet, the nearest first as far as boxes tell.
 /// `leaf` returns the largest t that still matters: the hit's, or -infinity to stop.
-template <class Leaf>
+template <bool ordered, class Leaf>
 HWY_INLINE void traverse(const Tree& tree, const BoxRay& ray, float t_last, WideLink from,
                          Leaf&& leaf) {
-    struct Entry {
-        float t;
-        WideLink link;
-    };
-    Entry stack[wide_stack_size<W>];
-    Entry* top = stack;
-    alignas(64) float entries[W];
+    float starts[wide_stack_size<W>];
+    float links[wide_stack_size<W>];  // of WideLinks the bits, which SIMD moves as floats
+    int top = 0;
     WideLink link = from;
     while (true) {
         if (link.is_leaf()) {
             t_last = leaf(link);
         } else {
-            const Node& node = tree.nodes[link.first];
-            Entry* const base = top;
-            for (Bits hit = ray.meets(node, t_last, entries); hit; hit &= hit - 1) {
-                const int i = std::countr_zero(hit);
-                // Keep the nearest on top.
-                Entry* place = top++;
-                for (; place != base && place[-1].t < entries[i]; --place) *place = place[-1];
-                *place = {entries[i], node.children[i]};
+            const Node& node = tree.nodes[link.first()];
+            Float start;
+            const Mask hit = ray.meets(node, t_last, start);
+            const Bits hits = bits(hit);
+            if (!hits) {
+                // Falls through to the next of the stack.
+            } else if (!(hits & (hits - 1))) {
+                link = node.children[std::countr_zero(hits)];
+                continue;
+            } else {
+                // Moving all at once costs less than branching over each.
+                hn::StoreU(hn::Compress(start, hit), lanes_tag, starts + top);
+                hn::StoreU(hn::Compress(load_links(node), hit), lanes_tag, links + top);
+                const int base = top;
+                top += std::popcount(hits);
+                if constexpr (ordered) bring_nearest_up(starts, links, base, top);
             }
         }
         do {
-            if (top == stack) return;
+            if (top == 0) return;
             --top;
-        } while (!(top->t <= t_last));
-        link = top->link;
+        } while (!(starts[top] <= t_last));
+        link = std::bit_cast<WideLink>(links[top]);
     }
 }
 
@@ -157,13 +179,13 @@ public:
 
     /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's space.
     HWY_INLINE void trace(const SceneObject& object, const Ray& ray, std::uint32_t instance,
-                          WideLink from = {}) {
+                          WideLink from = WideLink::node(0)) {
         const BoxRay box_ray(ray);
         const TriangleRay exact(ray);
         const TriangleFilter filter(ray, exact);
-        traverse(object.tree, box_ray, hit_.t, from, [&](WideLink leaf) HWY_ATTR {
-            const Block* const first = &object.blocks[leaf.first];
-            for (const Block& block : std::span(first, leaf.count)) {
+        traverse<!any_hit>(object.tree, box_ray, hit_.t, from, [&](WideLink leaf) HWY_ATTR {
+            const Block* const first = &object.blocks[leaf.first()];
+            for (const Block& block : std::span(first, leaf.count())) {
                 for (Bits may = filter.may_hit(block, last_t()); may; may &= may - 1)
                     test(exact, block, std::countr_zero(may), instance);
                 if (any_hit && hit_.valid()) break;
@@ -217,8 +239,8 @@ private:
 template <bool any_hit>
 void trace_instances(const Scene& scene, const Ray& ray, Query<any_hit>& query) {
     Mailbox mailbox;
-    traverse(scene.top, BoxRay(ray), query.last_t(), {}, [&](WideLink leaf) HWY_ATTR {
-        for (const std::uint32_t item : std::span(&scene.items[leaf.first], leaf.count)) {
+    traverse<!any_hit>(scene.top, BoxRay(ray), query.last_t(), WideLink::node(0), [&](WideLink leaf) HWY_ATTR {
+        for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
             if (query.last_t() == -infinity) break;
             if (mailbox.test_and_set(item)) continue;
             const WideInstance& instance = scene.instances[item];

@@ -1,7 +1,6 @@
 #include "worker/wide_tree.h"
 
 #include <algorithm>
-#include <unordered_map>
 
 namespace tessera {
 namespace {
@@ -17,10 +16,11 @@ template <int width>
 class Collapse {
 public:
     Collapse(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size,
-             const MakeLeaf& make_leaf)
+             std::uint32_t leaf_limit, const MakeLeaf& make_leaf)
         : tree_(tree),
           clipped_(clipped),
           leaf_size_(leaf_size),
+          leaf_limit_(leaf_limit),
           make_leaf_(make_leaf),
           contents_(tree.nodes.size()) {}
 
@@ -94,31 +94,51 @@ private:
         std::vector<std::pair<std::uint32_t, std::uint32_t>> inner;  // slot, kd-node
         for (std::size_t i = 0; i < children.size(); ++i) {
             const Content& content = contents_[children[i]];
-            for (int k = 0; k < 3; ++k) {
-                wide.bounds[k][0][i] = content.box.lo[k];
-                wide.bounds[k][1][i] = content.box.hi[k];
-            }
             if (content.small) {
-                wide.children[i] = leaf(content);
+                set_child(wide, i, content.box, leaf(content.box, items_of(content)));
             } else {
-                wide.children[i].first = std::uint32_t(out_.nodes.size());
-                inner.emplace_back(out_.nodes.size(), children[i]);
-                out_.nodes.emplace_back();
+                inner.emplace_back(new_node(), children[i]);
+                set_child(wide, i, content.box, WideLink::node(inner.back().first));
             }
         }
         out_.nodes[slot] = wide;
         for (const auto& [child_slot, child] : inner) fill(child_slot, child);
     }
 
-    WideLink leaf(const Content& content) {
-        // The kd-tree stores equal lists once, and so do we.
-        const std::span items(lists_.data() + content.first, content.count);
-        return make_leaf_(items);
+    static void set_child(WideNode<width>& wide, std::size_t lane, const Box& box, WideLink link) {
+        for (int k = 0; k < 3; ++k) {
+            wide.bounds[k][0][lane] = box.lo[k];
+            wide.bounds[k][1][lane] = box.hi[k];
+        }
+        wide.children[lane] = link;
+    }
+
+    std::uint32_t new_node() {
+        out_.nodes.emplace_back();
+        return std::uint32_t(out_.nodes.size() - 1);
+    }
+
+    std::span<const std::uint32_t> items_of(const Content& content) const {
+        return {lists_.data() + content.first, content.count};
+    }
+
+    /// A leaf, or a node of leaves when there are too many items for one.
+    WideLink leaf(const Box& box, std::span<const std::uint32_t> items) {
+        if (items.size() <= leaf_limit_) return make_leaf_(items);
+        const std::uint32_t slot = new_node();
+        WideNode<width> wide;
+        const std::size_t part = (items.size() + width - 1) / width;
+        for (std::size_t i = 0; i * part < items.size(); ++i) {
+            const std::size_t count = std::min(part, items.size() - i * part);
+            set_child(wide, i, box, leaf(box, items.subspan(i * part, count)));
+        }
+        out_.nodes[slot] = wide;
+        return WideLink::node(slot);
     }
 
     const KdTree& tree_;
     const ClippedBounds& clipped_;
-    std::uint32_t leaf_size_;
+    std::uint32_t leaf_size_, leaf_limit_;
     const MakeLeaf& make_leaf_;
     std::vector<Content> contents_;
     std::vector<std::uint32_t> lists_;
@@ -129,12 +149,15 @@ private:
 
 template <int width>
 WideTree<width> collapse(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size,
-                         const MakeLeaf& make_leaf) {
-    return Collapse<width>(tree, clipped, leaf_size, make_leaf).run();
+                         std::uint32_t leaf_limit, const MakeLeaf& make_leaf) {
+    return Collapse<width>(tree, clipped, leaf_size, leaf_limit, make_leaf).run();
 }
 
-template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, const MakeLeaf&);
-template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, const MakeLeaf&);
-template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, const MakeLeaf&);
+template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
+                               std::uint32_t, const MakeLeaf&);
+template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
+                               std::uint32_t, const MakeLeaf&);
+template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
+                               std::uint32_t, const MakeLeaf&);
 
 }  // namespace tessera

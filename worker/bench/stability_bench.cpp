@@ -214,7 +214,9 @@ auto leaving_surfaces(Fault fault) {
                 if (fault == Fault::leak)
                     exact.tmin = 4 * offset / (8 * std::abs(dot(towards, ng)));
                 const Verdict verdict = judge(scene, exact, float_precision, hit.triangle);
-                if (fault == Fault::acne) return Probe{shadow, {infinity, verdict.possible}};
+                // The offset moves the ray sideways, so t is not compared: only hit or miss.
+                if (fault == Fault::acne)
+                    return Probe{shadow, {infinity, verdict.possible < infinity ? 0 : infinity}};
                 return Probe{shadow, {verdict.sure < infinity ? must_hit.sure : infinity, 0}};
             }
         };
