@@ -19,6 +19,15 @@ std::unique_ptr<EmbreeScene> BenchScene::build_embree(int threads) const {
     return std::make_unique<EmbreeScene>(geometry.objects(), geometry.instances, threads, false);
 }
 
+vec3 view_dir(const Camera& camera, int side, int x, int y) {
+    const vec3 forward = normalize(camera.at - camera.eye);
+    const float half = std::tan(glm::radians(camera.fov_y) / 2);
+    const vec3 right = half * normalize(cross(forward, camera.up));
+    const vec3 up = cross(right, forward);
+    const auto ndc = [&](int i) { return (float(i) + 0.5f) * 2 / float(side) - 1; };
+    return forward + ndc(x) * right - ndc(y) * up;
+}
+
 BenchScene load_bench_scene(const std::string& file_or_name) {
     const SceneBundle bundle = load_scene(file_or_name).bundle;
     BenchScene out{test_scene(std::filesystem::path(file_or_name).stem().string(), bundle), {}};

@@ -16,6 +16,9 @@ struct BenchScene {
     std::unique_ptr<EmbreeScene> build_embree(int threads) const;
 };
 
+/// Towards pixel (x, y) of a view of `side` x `side` pixels; not unit.
+vec3 view_dir(const Camera& camera, int side, int x, int y);
+
 /// Loads a file or generates the scene of that name. A scene without a camera is seen from a point
 /// inside its bounds.
 BenchScene load_bench_scene(const std::string& file_or_name);

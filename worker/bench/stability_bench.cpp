@@ -54,6 +54,37 @@ std::uint64_t count_wrong(const Tracer& tracer, std::span<const Ray> rays,
     return wrong;
 }
 
+/// The same for rays of one origin asked for together, where there are any: they go other ways
+/// through our tracer.
+std::uint64_t count_wrong_packets(const Tracer& tracer, std::span<const Ray> rays,
+                                  std::span<const Verdict> verdicts) {
+    std::uint64_t wrong = 0;
+    std::vector<vec3> dirs, targets;
+    std::vector<Hit> hits;
+    std::vector<std::uint8_t> blocked;
+    for (std::size_t first = 0, end = 0; first < rays.size(); first = end) {
+        const vec3& org = rays[first].org;
+        dirs.clear();
+        targets.clear();
+        for (end = first; end < rays.size() && rays[end].org == org; ++end) {
+            dirs.push_back(rays[end].dir);
+            targets.push_back(org + 4.0f * rays[end].dir);
+        }
+        if (end - first < 2) {
+            end = std::max(end, first + 1);  // a NaN equals nothing
+            continue;
+        }
+        hits.resize(dirs.size());
+        blocked.resize(dirs.size());
+        tracer.closest_from(org, dirs, hits);
+        tracer.occluded_from(org, targets, blocked, nullptr);
+        for (std::size_t i = 0; i < dirs.size(); ++i)
+            wrong += !verdicts[first + i].allows(hits[i]) ||
+                     !verdicts[first + i].allows(blocked[i] != 0);
+    }
+    return wrong;
+}
+
 Score run(const Case& one, std::uint64_t count) {
     const std::vector<TracerObject> objects = one.scene.objects();
     const auto ours = build_kdtree_tracer(objects, one.scene.instances, 1);
@@ -71,7 +102,8 @@ Score run(const Case& one, std::uint64_t count) {
             rays.push_back(probe.ray);
             verdicts.push_back(probe.verdict);
         }
-        score.wrong += count_wrong(*ours, rays, verdicts);
+        score.wrong +=
+            count_wrong(*ours, rays, verdicts) + count_wrong_packets(*ours, rays, verdicts);
         if (one.embree_aborts) continue;
         score.embree_wrong = score.embree_wrong.value_or(0) + count_wrong(*embree, rays, verdicts);
         score.embree_robust_wrong =
@@ -100,17 +132,17 @@ auto judged(std::vector<int> kinds, double precision = double_precision) {
 
 enum class Aim { edges, vertices };
 
-/// From around the centre of a closed surface around the origin to its edges or vertices. `depth`
-/// is the reach of the origins.
+/// From around the centre of a closed surface around the origin to its edges or vertices, 256 rays
+/// from one point. `depth` is the reach of the origins.
 auto from_inside(Aim aim, float depth = 0.25f) {
     return [=](const TestScene& scene) -> MakeProbe {
-        return [&scene, aim, depth, random = Random(41)]() mutable {
+        return [&scene, aim, depth, random = Random(41), org = vec3(0), i = 0]() mutable {
             const Mesh& mesh = scene.meshes[0];
             const uvec3& v = mesh.triangles[random() % mesh.triangles.size()];
             const int k = int(random() % 3);
             const vec3 &a = mesh.positions[v[k]], &b = mesh.positions[v[(k + 1) % 3]];
             const vec3 target = aim == Aim::vertices ? a : a + uniform(random, 0, 1) * (b - a);
-            const vec3 org = uniform_point(random, {vec3(-depth), vec3(depth)});
+            if (i++ % 256 == 0) org = uniform_point(random, {vec3(-depth), vec3(depth)});
             const mat4& m = scene.instances[0].world_from_object;
             return Probe{{vec3(m * vec4(org, 1)), 0, vec3(m * vec4(target - org, 0)), infinity},
                          must_hit};

@@ -108,7 +108,7 @@ private:
     void see();
     void place_emitters();
     SurfacePoint surface_point(const Ray& ray, const Hit& hit) const;
-    vec3 view_dir(int tile, int pixel) const;
+    vec3 tile_dir(int tile, int pixel) const;
     Ray bounce_ray(const SurfacePoint& from, Random& random) const;
 
     Block make_block(KindIndex kind, int first_tile) const;
@@ -133,18 +133,12 @@ private:
 };
 
 /// Pixels of a tile go by blocks of 4 x 4, which lie close together.
-vec3 TraceBench::view_dir(int tile, int pixel) const {
+vec3 TraceBench::tile_dir(int tile, int pixel) const {
     const int tiles_across = config_.view / tile_side;
     const int block = pixel / 16, k = pixel % 16;
     const int x = tile % tiles_across * tile_side + block % 4 * 4 + k % 4;
     const int y = tile / tiles_across * tile_side + block / 4 * 4 + k / 4;
-    const Camera& camera = scene_.camera;
-    const vec3 forward = normalize(camera.at - camera.eye);
-    const float half = std::tan(glm::radians(camera.fov_y) / 2);
-    const vec3 right = half * normalize(cross(forward, camera.up));
-    const vec3 up = cross(right, forward);
-    const auto ndc = [&](int i) { return (float(i) + 0.5f) * 2 / float(config_.view) - 1; };
-    return forward + ndc(x) * right - ndc(y) * up;
+    return view_dir(scene_.camera, config_.view, x, y);
 }
 
 SurfacePoint TraceBench::surface_point(const Ray& ray, const Hit& hit) const {
@@ -165,7 +159,7 @@ void TraceBench::see() {
     std::vector<Hit> hits(tile_pixels);
     const vec3 eye = scene_.camera.eye;
     for (int tile = 0; tile < tiles(); ++tile) {
-        for (int i = 0; i < tile_pixels; ++i) dirs[i] = view_dir(tile, i);
+        for (int i = 0; i < tile_pixels; ++i) dirs[i] = tile_dir(tile, i);
         ours_->closest_from(eye, dirs, hits);
         for (int i = 0; i < tile_pixels; ++i)
             points_.push_back(surface_point({eye, 0, dirs[i], infinity}, hits[i]));
@@ -226,7 +220,7 @@ void TraceBench::add_tile(Block& block, KindIndex kind, int tile) const {
     Random random{std::uint32_t(tile)};
     for (int i = 0; i < tile_pixels; ++i) {
         if (kind == primary) {
-            block.ends.push_back(view_dir(tile, i));
+            block.ends.push_back(tile_dir(tile, i));
             block.add({scene_.camera.eye, 0, block.ends.back(), infinity});
             continue;
         }
