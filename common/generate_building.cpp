@@ -10,6 +10,7 @@
 
 #include "common/generators.h"
 #include "common/mesh_builder.h"
+#include "common/random_number.h"
 #include "common/scene_builder.h"
 
 namespace tessera {
@@ -23,16 +24,6 @@ constexpr float storey_pitch = room.y + 0.35f;
 constexpr float atrium = 9;  // metres between the two wings
 constexpr float length_x = columns * column_pitch;
 constexpr float height = storeys * storey_pitch;
-
-/// A number in [lo, hi) for each index (a hash of Wellons' "lowbias32"; the same bits everywhere).
-float random_between(std::uint32_t index, float lo, float hi) {
-    index ^= index >> 16;
-    index *= 0x7feb352du;
-    index ^= index >> 15;
-    index *= 0x846ca68bu;
-    index ^= index >> 16;
-    return lo + (hi - lo) * (float(index >> 8) * 0x1p-24f);
-}
 
 mat4 turned(float radians) { return glm::rotate(mat4(1), radians, vec3(0, 1, 0)); }
 
@@ -52,7 +43,8 @@ std::optional<mat4> disturbed(const std::string& name, std::uint32_t seed) {
     return mat4(1);
 }
 
-/// Appends `mesh` where `world_from_object` places it, its slots renamed to `materials`.
+/// Appends `mesh` where `world_from_object` places it. The slots of `out` are the scene's
+/// materials, until number_slots().
 void append(Mesh& out, const Mesh& mesh, const mat4& world_from_object,
             const std::vector<std::uint32_t>& materials) {
     const auto first = std::uint32_t(out.positions.size());
@@ -64,6 +56,17 @@ void append(Mesh& out, const Mesh& mesh, const mat4& world_from_object,
         out.triangles.push_back(first + mesh.triangles[i]);
         out.slots.push_back(std::uint16_t(materials[mesh.slots.empty() ? 0 : mesh.slots[i]]));
     }
+}
+
+/// Renames the slots of `mesh` from materials to 0, 1...; returns the material of each.
+std::vector<std::uint32_t> number_slots(Mesh& mesh) {
+    std::vector<std::uint32_t> materials(mesh.slots.begin(), mesh.slots.end());
+    std::ranges::sort(materials);
+    materials.erase(std::ranges::unique(materials).begin(), materials.end());
+    for (std::uint16_t& slot : mesh.slots)
+        slot = std::uint16_t(std::ranges::lower_bound(materials, std::uint32_t(slot)) -
+                             materials.begin());
+    return materials;
 }
 
 /// The walls of the office without the one at z = room.z: the room opens to the atrium.
@@ -129,12 +132,10 @@ private:
         scene.objects.clear();
         scene.instances.clear();
         scene.cameras.clear();
-        for (std::uint32_t i = 0; i < scene.materials.size(); ++i) all_materials_.push_back(i);
         for (const vec3& colour :
              {vec3(0.20f, 0.40f, 0.42f), vec3(0.55f, 0.30f, 0.18f), vec3(0.30f, 0.38f, 0.20f),
               vec3(0.45f, 0.20f, 0.25f), vec3(0.60f, 0.50f, 0.25f), vec3(0.25f, 0.30f, 0.45f)}) {
             wall_paints_.push_back(paint("wall", colour));
-            all_materials_.push_back(wall_paints_.back());
         }
     }
 
@@ -148,7 +149,7 @@ private:
     SceneBundle bundle_;
     Scene office_;
     std::vector<Mesh> meshes_;  ///< of each of the office's objects
-    std::vector<std::uint32_t> all_materials_, wall_paints_;
+    std::vector<std::uint32_t> wall_paints_;
 };
 
 void Building::add_room(int column, int storey, bool opposite) {
@@ -181,7 +182,8 @@ void Building::add_room(int column, int storey, bool opposite) {
         if (const auto change = disturbed(instance.name, seed + i))
             append(furnished, mesh, instance.world_from_object * *change, object.materials);
     }
-    add_instance(bundle_, "room", add_object(bundle_, "room", furnished, all_materials_),
+    const std::vector<std::uint32_t> materials = number_slots(furnished);
+    add_instance(bundle_, "room", add_object(bundle_, "room", furnished, materials),
                  world_from_room);
 }
 

@@ -8,6 +8,7 @@
 
 #include "common/generators.h"
 #include "common/mesh_builder.h"
+#include "common/random_number.h"
 #include "common/scene_builder.h"
 
 namespace tessera {
@@ -21,16 +22,6 @@ constexpr float flower_pitch = 0.6f;
 constexpr float field_x = rows * row_pitch;
 constexpr float field_z = flowers_in_row * flower_pitch;
 constexpr float golden_angle = 2.39996f;  // radians
-
-/// A number in [lo, hi) for each index (a hash of Wellons' "lowbias32"; the same bits everywhere).
-float random_between(std::uint32_t index, float lo, float hi) {
-    index ^= index >> 16;
-    index *= 0x7feb352du;
-    index ^= index >> 15;
-    index *= 0x846ca68bu;
-    index ^= index >> 16;
-    return lo + (hi - lo) * (float(index >> 8) * 0x1p-24f);
-}
 
 /// Low hills.
 float ground_height(float x, float z) {

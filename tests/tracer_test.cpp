@@ -175,8 +175,8 @@ void compare(const TestScene& scene, int count) {
 }
 
 TEST(Tracer, AgreesOnGeneratedScenes) {
-    for (const GeneratedScene& scene : generated_scenes())
-        compare(test_scene(scene.name, *generate_scene(scene.name)), 5000);
+    for (const char* name : {"cornell", "office"})  // few enough triangles for brute force
+        compare(test_scene(name, *generate_scene(name)), 5000);
 }
 
 TEST(Tracer, AgreesOnSharedScenes) {
