@@ -159,6 +159,7 @@ private:
     friend class Facet;
     friend Bits may_hit(const Block&, const Shaft&, const Slopes&, const Boxes&, Edges&);
     friend class ShaftOcclusion;
+    friend class GroupClosest;
 
     static Slopes splat_slopes(const float* s) {
         return {splat(s[0]), splat(s[1]), splat(s[2]), splat(s[3]), splat(s[4])};
@@ -735,6 +736,119 @@ void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3>
         }
         occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
                 [&](int i) -> std::uint8_t& { return flags[i]; });
+    }
+}
+
+/// Up to 16 rays to their closest hits, the nearest boxes first.
+class GroupClosest {
+public:
+    GroupClosest(const SceneObject& object, const Shaft& shaft, int g, std::span<const vec3> dirs)
+        : object_(object), shaft_(shaft), g_(g), count_(int(dirs.size())) {
+        for (int i = 0; i < group_size; ++i) {
+            rays_[i].emplace(Ray{shaft.org_, 0, dirs[std::size_t(std::min(i, count_ - 1))], infinity});
+            t_[i] = infinity;
+        }
+    }
+
+    void run(std::span<Hit> hits) {
+        walk();
+        for (int i = 0; i < count_; ++i) hits[std::size_t(i)] = queries_[i].result();
+    }
+
+private:
+    void walk() {
+        struct Entry {
+            float z;
+            WideLink link;
+        };
+        Entry stack[wide_stack_size<W>];
+        int top = 0;
+        stack[top++] = {0, WideLink::node(0)};
+        while (top > 0) {
+            const auto [z, link] = stack[--top];
+            const Slopes slopes = reaching();
+            if (z > hn::GetLane(slopes.far)) continue;
+            if (link.is_leaf()) {
+                for (std::uint32_t i = 0; i < link.count(); ++i)
+                    test_block(object_.blocks[link.first() + i], slopes);
+                continue;
+            }
+            const Node& node = object_.tree.nodes[link.first()];
+            const Boxes boxes = shaft_.children(node);
+            alignas(64) float start[W];
+            store(boxes.lo[2], start);
+            const int base = top;
+            for (Bits met = bits(may_meet(boxes, slopes)); met; met &= met - 1) {
+                const int i = std::countr_zero(met);
+                int place = top++;
+                for (; place != base && stack[place - 1].z < start[i]; --place)
+                    stack[place] = stack[place - 1];
+                stack[place] = {start[i], node.children[i]};
+            }
+        }
+    }
+
+    /// The group's slopes, as far as its rays still matter.
+    Slopes reaching() const {
+        Slopes s = shaft_.group(g_);
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W)
+            far = hn::Max(far, load(t_ + k) * load(shaft_.far_ + g_ * group_size + k));
+        s.far = hn::MaxOfLanes(lanes_tag, far) * splat(1 + 0x1p-20f);
+        return s;
+    }
+
+    void test_block(const Block& block, const Slopes& slopes) {
+        Boxes anywhere;
+        for (int k = 0; k < 3; ++k) anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
+        Edges edges;
+        for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            if (block.ids[lane] == Block::no_triangle) break;
+            for (int k = 0; k < group_size; k += W) {
+                const Bits there = ((Bits(1) << count_) - 1) >> k & all_lanes;
+                for (Bits maybe = there & not_outside(edges, lane, k); maybe; maybe &= maybe - 1) {
+                    const int i = k + std::countr_zero(maybe);
+                    queries_[i].test(*rays_[i], block, lane, 0);
+                    t_[i] = queries_[i].last_t();
+                }
+            }
+        }
+    }
+
+    HWY_INLINE Bits not_outside(const Edges& edges, int lane, int k) const {
+        const Float u = load(shaft_.u_ + g_ * group_size + k);
+        const Float v = load(shaft_.v_ + g_ * group_size + k);
+        Float least = splat(infinity);
+        for (const auto& n : edges.normals)
+            least = hn::Min(least, hn::MulAdd(splat(n[0][lane]), u,
+                                              hn::MulAdd(splat(n[1][lane]), v, splat(n[2][lane]))));
+        return bits(hn::Not(least < splat(-edges.slack[lane])));
+    }
+
+    const SceneObject& object_;
+    const Shaft& shaft_;
+    int g_, count_;
+    std::optional<TriangleRay> rays_[group_size];
+    Query<false> queries_[group_size];
+    alignas(64) float t_[group_size];
+};
+
+void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
+                  std::span<Hit> hits) {
+    for (std::size_t start = 0; start < dirs.size(); start += group_size) {
+        const std::size_t count = std::min<std::size_t>(group_size, dirs.size() - start);
+        const auto group = dirs.subspan(start, count);
+        const auto out = hits.subspan(start, count);
+        Directions rays;
+        rays.set(group, vec3(0));
+        Shaft shaft;
+        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count))) {
+            GroupClosest(scene.objects[0], shaft, 0, group).run(out);
+        } else {
+            for (std::size_t i = 0; i < count; ++i)
+                out[i] = trace<false>(scene, {origin, 0, group[i], infinity});
+        }
     }
 }
 
