@@ -317,7 +317,8 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
         f[k] = p[k][2] - p[k][1];
         extent = hn::Max(extent, hn::Max(hn::Abs(e[k]), hn::Abs(f[k])));
     }
-    Float origin = hn::Zero(lanes_tag), nearest = origin, farthest = origin, error = origin;
+    Float origin = hn::Zero(lanes_tag), nearest = origin, farthest = origin;
+    Float error = origin, ends_error = origin;
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         const Float back = e[j] * f[i];
@@ -327,11 +328,15 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
         origin = hn::NegMulAdd(n, p[k][0], origin);
         nearest = nearest + hn::Min(n * lo, n * hi);
         farthest = farthest + hn::Max(n * lo, n * hi);
-        error = hn::MulAdd(n_size, max3(hn::Abs(p[k][0]), hn::Abs(lo), hn::Abs(hi)), error);
+        error = hn::MulAdd(n_size, hn::Abs(p[k][0]), error);
+        ends_error = hn::MulAdd(n_size, hn::Max(hn::Abs(lo), hn::Abs(hi)), ends_error);
     }
-    error = hn::MulAdd(splat(0x1p-40f) * extent * extent, size, splat(0x1p-20f) * error);
-    const Mask above = hn::And(origin > error, nearest > error);
-    const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(error));
+    // What the double test may be wrong by is far less, whatever the triangle's shape.
+    const Float least = splat(0x1p-40f) * extent * extent * size;
+    error = hn::MulAdd(splat(0x1p-20f), error, least);
+    ends_error = hn::MulAdd(splat(0x1p-20f), ends_error, error);
+    const Mask above = hn::And(origin > error, nearest > ends_error);
+    const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
     const Bits cross_plane = met & ~bits(hn::Or(above, below));
     if (!cross_plane) return 0;
 
