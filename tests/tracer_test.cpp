@@ -154,6 +154,14 @@ void expect_packets_equal_rays(const TestScene& scene, int rounds) {
         tracer->occluded(rays, expected);
         for (std::size_t i = 0; i < targets.size(); ++i)
             ASSERT_EQ(blocked[i], expected[i]) << "round " << round << " target " << i;
+
+        std::vector<vec3> dirs;
+        for (Ray& ray : rays) dirs.push_back(ray.dir), ray.tmax = infinity;
+        std::vector<Hit> hits(rays.size()), expected_hits(rays.size());
+        tracer->closest_from(origin, dirs, hits);
+        tracer->closest_hits(rays, expected_hits);
+        for (std::size_t i = 0; i < hits.size(); ++i)
+            ASSERT_EQ(hits[i], expected_hits[i]) << "round " << round << " direction " << i;
     }
 }
 

@@ -122,6 +122,12 @@ public:
         kernels_.occluded_from(scene_, origin, targets, blocked, cache);
     }
 
+    void closest_from(const vec3& origin, std::span<const vec3> dirs,
+                      std::span<Hit> hits) const override {
+        CHECK_EQ(dirs.size(), hits.size());
+        kernels_.closest_from(scene_, origin, dirs, hits);
+    }
+
     Box bounds() const override { return scene_.bounds(); }
 
     std::size_t memory_bytes() const override {

@@ -25,7 +25,7 @@ HWY_BEFORE_NAMESPACE();
 namespace tessera {
 namespace HWY_NAMESPACE {
 
-constexpr Kernels<W> table{closest_hits, occluded, occluded_from, nullptr};
+constexpr Kernels<W> table{closest_hits, occluded, occluded_from, closest_from};
 
 }  // namespace HWY_NAMESPACE
 }  // namespace tessera

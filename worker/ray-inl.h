@@ -174,8 +174,7 @@ private:
 template <bool any_hit>
 class Query {
 public:
-    explicit Query(float tmax) { hit_.t = tmax; }
-    explicit Query(const Hit& hit) : hit_(hit) {}
+    explicit Query(float tmax = infinity) { hit_.t = tmax; }
 
     /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's space.
     HWY_INLINE void trace(const SceneObject& object, const Ray& ray, std::uint32_t instance,
@@ -200,7 +199,7 @@ public:
     bool found() const { return hit_.valid(); }
     Hit result() const { return hit_.valid() ? hit_ : Hit{}; }
 
-private:
+    /// Tests the triangle in a lane.
     void test(const TriangleRay& ray, const Block& block, int lane, std::uint32_t instance) {
         const std::uint32_t triangle = block.ids[lane];
         // The best hit so far is met again in each leaf that its triangle reaches.
@@ -211,6 +210,7 @@ private:
         if (ray.hits(block.lane(lane), found)) take(found, instance, triangle);
     }
 
+private:
     void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
         const auto precedes = [&] {
             return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);

@@ -19,6 +19,8 @@
 #define TESSERA_SHAFT_INL_H
 #endif
 
+#include <optional>
+
 #include "worker/ray-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -39,6 +41,19 @@ struct Directions {
         for (int k = 0; k < 3; ++k) d[k][count] = dir[k];
         ++count;
     }
+    /// From the points, seen from `from`.
+    void set(std::span<const vec3> points, const vec3& from) {
+        count = 0;
+        const Float org[3] = {splat(from.x), splat(from.y), splat(from.z)};
+        for (; count + W <= int(points.size()); count += W) {
+            Float p[3];
+            hn::LoadInterleaved3(lanes_tag, &points[std::size_t(count)].x, p[0], p[1], p[2]);
+            for (int k = 0; k < 3; ++k) store(p[k] - org[k], d[k] + count);
+        }
+        for (const vec3& point : points.subspan(std::size_t(count))) add(point - from);
+        pad();
+    }
+
     /// The last one again up to the end of its group.
     void pad() {
         for (int i = count; i % group_size != 0; ++i)
@@ -72,6 +87,13 @@ HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     return hn::And(hn::And(above <= zero, below >= zero), hn::And(z0 <= z1, z0 <= s.far));
 }
 
+/// Of a block's triangles: the normals of the planes through the origin and each edge, which point to
+/// where rays pass inside, and by how much a ray's distance from them may be wrong.
+struct Edges {
+    alignas(64) float normals[3][3][W];  ///< [edge][axis]
+    alignas(64) float slack[W];
+};
+
 /// A chunk of rays as frusta.
 class Shaft {
 public:
@@ -93,6 +115,30 @@ public:
         const Float margin = splat(widening_);
         return {u - margin, u + margin, v - margin, v + margin, load(far_ + g * group_size + k)};
     }
+    /// Bounds of where the rays end.
+    Boxes chunk_ends() const {
+        Boxes out;
+        for (int k = 0; k < 3; ++k) {
+            const bool flip = k == 2 && sign_ < 0;
+            const float lo = ends_lo_[axes_[k]], hi = ends_hi_[axes_[k]];
+            out.lo[k] = splat(flip ? -hi : lo);
+            out.hi[k] = splat(flip ? -lo : hi);
+        }
+        return out;
+    }
+    Boxes group_ends(int g) const {
+        Boxes out;
+        for (int k = 0; k < 3; ++k) {
+            Float lo = splat(infinity), hi = splat(-infinity);
+            for (int i = 0; i < group_size; i += W) {
+                const Float d = load(d_[k] + g * group_size + i);
+                lo = hn::Min(lo, d), hi = hn::Max(hi, d);
+            }
+            out.lo[k] = hn::MinOfLanes(lanes_tag, lo);
+            out.hi[k] = hn::MaxOfLanes(lanes_tag, hi);
+        }
+        return out;
+    }
     /// How far the groups' rays stand apart at z = 1.
     Float spread() const { return load(spread_); }
 
@@ -111,8 +157,9 @@ public:
 
 private:
     friend class Facet;
-    friend Bits may_hit(const Block&, const Shaft&, const Slopes&);
+    friend Bits may_hit(const Block&, const Shaft&, const Slopes&, const Boxes&, Edges&);
     friend class ShaftOcclusion;
+    friend class GroupClosest;
 
     static Slopes splat_slopes(const float* s) {
         return {splat(s[0]), splat(s[1]), splat(s[2]), splat(s[3]), splat(s[4])};
@@ -126,6 +173,7 @@ private:
     float steepest_;  ///< bounds all |u|, |v|, and 1
     float widening_;  ///< what slopes are widened by against boxes
     float longest_;   ///< bounds the directions' coordinates
+    float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
     float chunk_[5];
     alignas(64) float groups_[5][W];
     alignas(64) float spread_[W];
@@ -153,6 +201,7 @@ inline bool Shaft::choose_axis(const Directions& rays, int first, int end) {
         const float most = hn::GetLane(hn::MaxOfLanes(lanes_tag, hi[k]));
         nearest[k] = least > 0 ? least : -most;
         size[k] = std::max(std::abs(least), std::abs(most));
+        ends_lo_[k] = least, ends_hi_[k] = most;
         longest_ = std::max(longest_, size[k]);
         if (k == 0 || nearest[k] > nearest[axes_[2]]) {
             axes_[2] = k;
@@ -226,17 +275,24 @@ inline void Shaft::bound_groups(int groups) {
     chunk_[4] *= 1 + 0x1p-20f;
 }
 
-/// The lanes whose triangles a ray of `s` may hit: those that no side of the frustum keeps out.
-HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s) {
-    const Float org_x = splat(shaft.org_[shaft.axes_[0]]), org_y = splat(shaft.org_[shaft.axes_[1]]),
-                org_z = splat(shaft.org_[shaft.axes_[2]]), sign = splat(shaft.sign_);
+/// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
+/// frustum keeps out, that do not have all of it on one side, and none of whose edges has. Fills
+/// `edges` for them.
+HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
+                        const Boxes& ends, Edges& edges) {
+    Float p[3][3];  // [axis][corner]
+    for (int axis = 0; axis < 3; ++axis) {
+        const Float org = splat(shaft.org_[shaft.axes_[axis]]);
+        for (int k = 0; k < 3; ++k) {
+            p[axis][k] = load(block.corners[k][shaft.axes_[axis]]) - org;
+            if (axis == 2) p[axis][k] = splat(shaft.sign_) * p[axis][k];
+        }
+    }
     Float size = hn::Zero(lanes_tag);
     Float left = splat(-infinity), low = left, deep = left;
     Float right = splat(infinity), high = right, shallow = right;
     for (int k = 0; k < 3; ++k) {
-        const Float x = load(block.corners[k][shaft.axes_[0]]) - org_x;
-        const Float y = load(block.corners[k][shaft.axes_[1]]) - org_y;
-        const Float z = sign * (load(block.corners[k][shaft.axes_[2]]) - org_z);
+        const Float x = p[0][k], y = p[1][k], z = p[2][k];
         size = hn::Max(size, max3(hn::Abs(x), hn::Abs(y), hn::Abs(z)));
         // How far inside the four sides the corner lies.
         left = hn::Max(left, hn::NegMulAdd(s.u_lo, z, x));
@@ -250,7 +306,61 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s)
     const Mask inside = hn::And(hn::And(left >= hn::Neg(slack), right <= slack),
                                 hn::And(low >= hn::Neg(slack), high <= slack));
     const Mask within = hn::And(deep >= hn::Neg(slack), shallow <= s.far + slack);
-    return bits(hn::And(inside, within));
+    const Bits met = bits(hn::And(inside, within));
+    if (!met) return 0;
+
+    // The plane's normal, and the distances of the origin and of the ends from the plane. Ends and
+    // origin lie close to surfaces, so all is measured from a corner, where errors are small.
+    Float e[3], f[3], extent = hn::Zero(lanes_tag);
+    for (int k = 0; k < 3; ++k) {
+        e[k] = p[k][1] - p[k][0];
+        f[k] = p[k][2] - p[k][1];
+        extent = hn::Max(extent, hn::Max(hn::Abs(e[k]), hn::Abs(f[k])));
+    }
+    Float origin = hn::Zero(lanes_tag), nearest = origin, farthest = origin;
+    Float error = origin, ends_error = origin;
+    for (int k = 0; k < 3; ++k) {
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        const Float back = e[j] * f[i];
+        const Float n = hn::MulSub(e[i], f[j], back);
+        const Float n_size = hn::Abs(back) + hn::Abs(n);
+        const Float lo = ends.lo[k] - p[k][0], hi = ends.hi[k] - p[k][0];
+        origin = hn::NegMulAdd(n, p[k][0], origin);
+        nearest = nearest + hn::Min(n * lo, n * hi);
+        farthest = farthest + hn::Max(n * lo, n * hi);
+        error = hn::MulAdd(n_size, hn::Abs(p[k][0]), error);
+        ends_error = hn::MulAdd(n_size, hn::Max(hn::Abs(lo), hn::Abs(hi)), ends_error);
+    }
+    // What the double test may be wrong by is far less, whatever the triangle's shape.
+    const Float least = splat(0x1p-40f) * extent * extent * size;
+    error = hn::MulAdd(splat(0x1p-20f), error, least);
+    ends_error = hn::MulAdd(splat(0x1p-20f), ends_error, error);
+    const Mask above = hn::And(origin > error, nearest > ends_error);
+    const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
+    const Bits cross_plane = met & ~bits(hn::Or(above, below));
+    if (!cross_plane) return 0;
+
+    // Normals that point inwards, as far as the origin's side of the plane is known.
+    const Mask known = hn::Abs(origin) > error;
+    const Float slack_of_edges = splat(0x1p-18f * shaft.steepest_) * size *
+                                 hn::MulAdd(splat(0x1p-20f), size, extent);
+    const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
+    store(edge_slack, edges.slack);
+    const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
+    Float most = splat(infinity);
+    for (int k = 0; k < 3; ++k) {
+        Float d[3], n[3];
+        for (int i = 0; i < 3; ++i)
+            d[i] = towards * (k == 0 ? e[i] : k == 1 ? f[i] : p[i][0] - p[i][2]);
+        for (int i = 0; i < 3; ++i) {
+            const int j = (i + 1) % 3, l = (i + 2) % 3;
+            n[i] = hn::MulSub(p[j][k], d[l], p[l][k] * d[j]);
+            store(n[i], edges.normals[k][i]);
+        }
+        most = hn::Min(most, hn::Max(n[0] * s.u_lo, n[0] * s.u_hi) +
+                                 hn::Max(n[1] * s.v_lo, n[1] * s.v_hi) + n[2]);
+    }
+    return cross_plane & ~bits(most < hn::Neg(edge_slack));
 }
 
 /// A triangle as the origin sees it: the planes through the origin and its edges, and its own plane.
@@ -298,16 +408,6 @@ public:
             slack_ = infinity;
             plane_slack_ = double(infinity);
         }
-    }
-
-    /// The groups of which no ray surely misses.
-    HWY_INLINE Bits groups_met(const Slopes& s) const {
-        Float least = splat(infinity);
-        for (const auto& e : edges_)
-            least = hn::Min(least, hn::MulAdd(splat(e[0]), e[0] > 0 ? s.u_hi : s.u_lo,
-                                              hn::MulAdd(splat(e[1]), e[1] > 0 ? s.v_hi : s.v_lo,
-                                                         splat(e[2]))));
-        return bits(hn::Not(least < splat(-slack_)));
     }
 
     /// Of W rays: those that surely pass inside the edges, and those that may.
@@ -360,7 +460,7 @@ class ShaftOcclusion {
 public:
     ShaftOcclusion(const SceneObject& object, std::uint32_t instance, const Shaft& shaft, int count,
                    OccluderCache* cache)
-        : object_(object), instance_(instance), shaft_(shaft), cache_(cache) {
+        : object_(object), instance_(instance), shaft_(shaft), count_(count), cache_(cache) {
         for (int g = 0; g < W; ++g) {
             const int left = std::clamp(count - g * group_size, 0, group_size);
             alive_[g] = (Bits(1) << left) - 1;
@@ -373,13 +473,19 @@ public:
         walk();
     }
 
-    bool blocked(int ray) const { return !(alive_[ray / group_size] >> (ray % group_size) & 1); }
+    template <class F>
+    HWY_INLINE void for_each_blocked(F&& f) const {
+        for (int g = 0; g * group_size < count_; ++g) {
+            const Bits there = (Bits(1) << std::min(count_ - g * group_size, group_size)) - 1;
+            for_each_bit(there & ~alive_[g], [&](int i) { f(g * group_size + i); });
+        }
+    }
 
 private:
     /// A group is wide where its rays are this share of a box's extent apart.
     static constexpr float wide = 1.0f / 8;
     /// So few rays are faster one by one.
-    static constexpr int few = 2;
+    static constexpr int few = 1;
 
     void ask_cache() {
         if (!cache_) return;
@@ -437,6 +543,7 @@ private:
         int top = 0;
         stack[top++] = {from, alive_[g]};
         const Slopes slopes = shaft_.group(g);
+        const Boxes ends = shaft_.group_ends(g);
         while (top > 0 && alive_[g]) {
             auto [link, rays] = stack[--top];
             rays &= alive_[g];
@@ -446,7 +553,7 @@ private:
             }
             if (link.is_leaf()) {
                 for (std::uint32_t i = 0; i < link.count(); ++i)
-                    test_block(link.first() + i, g, slopes);
+                    test_block(link.first() + i, g, slopes, ends);
                 continue;
             }
             const Node& node = object_.tree.nodes[link.first()];
@@ -479,53 +586,87 @@ private:
     void test_block(std::uint32_t index, Bits groups) {
         const Block& block = object_.blocks[index];
         const Slopes all = shaft_.groups();
+        Edges edges;
         bool useful = false;
-        for (Bits may = may_hit(block, shaft_, shaft_.chunk()); may; may &= may - 1) {
+        for (Bits may = may_hit(block, shaft_, shaft_.chunk(), shaft_.chunk_ends(), edges); may;
+             may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
-            const Triangle triangle = block.lane(lane);
-            const Facet facet(triangle, shaft_);
-            for (Bits met = facet.groups_met(all) & groups & live_; met; met &= met - 1)
-                useful |= test(facet, triangle, std::countr_zero(met));
+            const Bits met = groups_met(edges, lane, all) & groups & live_;
+            if (met) useful |= test(block, lane, edges, met);
         }
         if (useful) remember(index);
     }
 
     /// The same against one group.
-    void test_block(std::uint32_t index, int g, const Slopes& slopes) {
+    void test_block(std::uint32_t index, int g, const Slopes& slopes, const Boxes& ends) {
         const Block& block = object_.blocks[index];
+        Edges edges;
         bool useful = false;
-        for (Bits may = may_hit(block, shaft_, slopes); may; may &= may - 1) {
+        for (Bits may = may_hit(block, shaft_, slopes, ends, edges); may; may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
-            const Triangle triangle = block.lane(lane);
-            useful |= test(Facet(triangle, shaft_), triangle, g);
+            useful |= test(block, lane, edges, Bits(1) << g);
         }
         if (useful) remember(index);
     }
 
-    /// Blocks the rays of group `g` that hit the triangle; tells whether there are any.
-    HWY_INLINE bool test(const Facet& facet, const Triangle& triangle, int g) {
-        Bits hit = 0;
-        for (int k = 0; k < group_size; k += W) {
-            const int at = g * group_size + k;
-            const Bits alive = alive_[g] >> k & all_lanes;
-            Bits surely, maybe;
-            facet.inside(load(shaft_.u_ + at), load(shaft_.v_ + at), surely, maybe);
-            maybe &= alive;
-            if (!maybe) continue;
-            Bits surely_crossed, maybe_crossed;
-            facet.crossed(shaft_.d_[0] + at, shaft_.d_[1] + at, shaft_.d_[2] + at, surely_crossed,
-                          maybe_crossed);
-            surely &= alive & surely_crossed;
-            hit |= surely << k;
-            for (Bits open = maybe & maybe_crossed & ~surely; open; open &= open - 1) {
-                const int i = std::countr_zero(open);
-                TriangleHit found;
-                if (TriangleRay(ray(at + i)).hits(triangle, found)) hit |= Bits(1) << (i + k);
+    /// The groups of which not every ray passes outside one edge.
+    static HWY_INLINE Bits groups_met(const Edges& edges, int lane, const Slopes& s) {
+        Float least = splat(infinity);
+        for (const auto& n : edges.normals) {
+            const float x = n[0][lane], y = n[1][lane];
+            least = hn::Min(least, hn::MulAdd(splat(x), x > 0 ? s.u_hi : s.u_lo,
+                                              hn::MulAdd(splat(y), y > 0 ? s.v_hi : s.v_lo,
+                                                         splat(n[2][lane]))));
+        }
+        return bits(hn::Not(least < splat(-edges.slack[lane])));
+    }
+
+    /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
+    HWY_INLINE bool test(const Block& block, int lane, const Edges& edges, Bits groups) {
+        Float n[3][3];
+        for (int k = 0; k < 3; ++k)
+            for (int i = 0; i < 3; ++i) n[k][i] = splat(edges.normals[k][i][lane]);
+        const Float slack = splat(-edges.slack[lane]);
+        std::optional<Facet> facet;
+        bool any = false;
+        for (; groups; groups &= groups - 1) {
+            const int g = std::countr_zero(groups);
+            for (int k = 0; k < group_size; k += W) {
+                const int at = g * group_size + k;
+                const Float u = load(shaft_.u_ + at), v = load(shaft_.v_ + at);
+                const auto distance = [&](int i) HWY_ATTR {
+                    return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
+                };
+                const Float least = min3(distance(0), distance(1), distance(2));
+                const Bits maybe = bits(hn::Not(least < slack)) & alive_[g] >> k;
+                if (!maybe) continue;
+                if (!facet) facet.emplace(block.lane(lane), shaft_);
+                any |= decide(*facet, block, lane, g, k, maybe);
             }
         }
-        if (hit) block(g, hit);
+        return any;
+    }
+
+    /// Blocks those of the rays that hit the triangle.
+    HWY_INLINE bool decide(const Facet& facet, const Block& block, int lane, int g, int k,
+                           Bits rays) {
+        const int at = g * group_size + k;
+        Bits crossed, maybe_crossed;
+        facet.crossed(shaft_.d_[0] + at, shaft_.d_[1] + at, shaft_.d_[2] + at, crossed,
+                      maybe_crossed);
+        rays &= maybe_crossed;
+        if (!rays) return false;
+        Bits inside, maybe_inside;
+        facet.inside(load(shaft_.u_ + at), load(shaft_.v_ + at), inside, maybe_inside);
+        Bits hit = rays & inside & crossed;
+        for (Bits open = rays & maybe_inside & ~hit; open; open &= open - 1) {
+            const int i = std::countr_zero(open);
+            TriangleHit found;
+            if (TriangleRay(ray(at + i)).hits(block.lane(lane), found)) hit |= Bits(1) << i;
+        }
+        if (hit) this->block(g, hit << k);
         return hit != 0;
     }
 
@@ -555,6 +696,7 @@ private:
     const SceneObject& object_;
     std::uint32_t instance_;
     const Shaft& shaft_;
+    int count_;
     OccluderCache* cache_;
     Bits alive_[W];  ///< the rays of each group that nothing blocks yet
     Bits live_ = 0;  ///< the groups that have any
@@ -568,8 +710,7 @@ void occlude(const SceneObject& object, std::uint32_t instance, const vec3& org,
     if (shaft.set(org, rays, first, count)) {
         ShaftOcclusion occlusion(object, instance, shaft, count, cache);
         occlusion.run();
-        for (int i = 0; i < count; ++i)
-            if (occlusion.blocked(i)) flag(first + i) = 1;
+        occlusion.for_each_blocked([&](int i) { flag(first + i) = 1; });
     } else if (count > group_size) {
         for (int i = 0; i < count; i += group_size)
             occlude(object, instance, org, rays, first + i, std::min(group_size, count - i), cache,
@@ -592,8 +733,7 @@ void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3>
         std::uint8_t* const flags = blocked.data() + start;
         std::fill_n(flags, count, std::uint8_t(0));
         Directions rays;
-        for (const vec3& target : targets.subspan(start, count)) rays.add(target - origin);
-        rays.pad();
+        rays.set(targets.subspan(start, count), origin);
         if (!scene.single) {
             for (std::size_t i = 0; i < count; ++i)
                 flags[i] = trace<true>(scene, {origin, 0, rays.at(int(i)), 1}).valid();
@@ -601,6 +741,119 @@ void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3>
         }
         occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
                 [&](int i) -> std::uint8_t& { return flags[i]; });
+    }
+}
+
+/// Up to 16 rays to their closest hits, the nearest boxes first.
+class GroupClosest {
+public:
+    GroupClosest(const SceneObject& object, const Shaft& shaft, int g, std::span<const vec3> dirs)
+        : object_(object), shaft_(shaft), g_(g), count_(int(dirs.size())) {
+        for (int i = 0; i < group_size; ++i) {
+            rays_[i].emplace(Ray{shaft.org_, 0, dirs[std::size_t(std::min(i, count_ - 1))], infinity});
+            t_[i] = infinity;
+        }
+    }
+
+    void run(std::span<Hit> hits) {
+        walk();
+        for (int i = 0; i < count_; ++i) hits[std::size_t(i)] = queries_[i].result();
+    }
+
+private:
+    void walk() {
+        struct Entry {
+            float z;
+            WideLink link;
+        };
+        Entry stack[wide_stack_size<W>];
+        int top = 0;
+        stack[top++] = {0, WideLink::node(0)};
+        while (top > 0) {
+            const auto [z, link] = stack[--top];
+            const Slopes slopes = reaching();
+            if (z > hn::GetLane(slopes.far)) continue;
+            if (link.is_leaf()) {
+                for (std::uint32_t i = 0; i < link.count(); ++i)
+                    test_block(object_.blocks[link.first() + i], slopes);
+                continue;
+            }
+            const Node& node = object_.tree.nodes[link.first()];
+            const Boxes boxes = shaft_.children(node);
+            alignas(64) float start[W];
+            store(boxes.lo[2], start);
+            const int base = top;
+            for (Bits met = bits(may_meet(boxes, slopes)); met; met &= met - 1) {
+                const int i = std::countr_zero(met);
+                int place = top++;
+                for (; place != base && stack[place - 1].z < start[i]; --place)
+                    stack[place] = stack[place - 1];
+                stack[place] = {start[i], node.children[i]};
+            }
+        }
+    }
+
+    /// The group's slopes, as far as its rays still matter.
+    Slopes reaching() const {
+        Slopes s = shaft_.group(g_);
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W)
+            far = hn::Max(far, load(t_ + k) * load(shaft_.far_ + g_ * group_size + k));
+        s.far = hn::MaxOfLanes(lanes_tag, far) * splat(1 + 0x1p-20f);
+        return s;
+    }
+
+    void test_block(const Block& block, const Slopes& slopes) {
+        Boxes anywhere;
+        for (int k = 0; k < 3; ++k) anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
+        Edges edges;
+        for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            if (block.ids[lane] == Block::no_triangle) break;
+            for (int k = 0; k < group_size; k += W) {
+                const Bits there = ((Bits(1) << count_) - 1) >> k & all_lanes;
+                for (Bits maybe = there & not_outside(edges, lane, k); maybe; maybe &= maybe - 1) {
+                    const int i = k + std::countr_zero(maybe);
+                    queries_[i].test(*rays_[i], block, lane, 0);
+                    t_[i] = queries_[i].last_t();
+                }
+            }
+        }
+    }
+
+    HWY_INLINE Bits not_outside(const Edges& edges, int lane, int k) const {
+        const Float u = load(shaft_.u_ + g_ * group_size + k);
+        const Float v = load(shaft_.v_ + g_ * group_size + k);
+        Float least = splat(infinity);
+        for (const auto& n : edges.normals)
+            least = hn::Min(least, hn::MulAdd(splat(n[0][lane]), u,
+                                              hn::MulAdd(splat(n[1][lane]), v, splat(n[2][lane]))));
+        return bits(hn::Not(least < splat(-edges.slack[lane])));
+    }
+
+    const SceneObject& object_;
+    const Shaft& shaft_;
+    int g_, count_;
+    std::optional<TriangleRay> rays_[group_size];
+    Query<false> queries_[group_size];
+    alignas(64) float t_[group_size];
+};
+
+void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
+                  std::span<Hit> hits) {
+    for (std::size_t start = 0; start < dirs.size(); start += group_size) {
+        const std::size_t count = std::min<std::size_t>(group_size, dirs.size() - start);
+        const auto group = dirs.subspan(start, count);
+        const auto out = hits.subspan(start, count);
+        Directions rays;
+        rays.set(group, vec3(0));
+        Shaft shaft;
+        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count))) {
+            GroupClosest(scene.objects[0], shaft, 0, group).run(out);
+        } else {
+            for (std::size_t i = 0; i < count; ++i)
+                out[i] = trace<false>(scene, {origin, 0, group[i], infinity});
+        }
     }
 }
 
