@@ -62,7 +62,7 @@ void append(Mesh& out, const Mesh& mesh, const mat4& world_from_object,
 std::vector<std::uint32_t> number_slots(Mesh& mesh) {
     std::vector<std::uint32_t> materials(mesh.slots.begin(), mesh.slots.end());
     std::ranges::sort(materials);
-    materials.erase(std::ranges::unique(materials).begin(), materials.end());
+    materials.erase(std::unique(materials.begin(), materials.end()), materials.end());
     for (std::uint16_t& slot : mesh.slots)
         slot = std::uint16_t(std::ranges::lower_bound(materials, std::uint32_t(slot)) -
                              materials.begin());
