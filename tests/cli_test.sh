@@ -57,7 +57,7 @@ done
 expect_ok "bench help" tessera bench --help
 grep -q stability "$work/out" || fail "bench does not tell of its benchmarks"
 expect_error "no-such-scene" tessera bench trace no-such-scene
-expect_error "nonsense" tessera bench nonsense
+expect_error "subcommand" tessera bench nonsense
 
 expect_error "missing.glb" tessera render "$work/missing.glb" -o "$work/x.png"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n' >"$work/broken.obj"
