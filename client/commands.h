@@ -10,5 +10,6 @@ void add_render_command(CLI::App& app);
 void add_status_command(CLI::App& app);
 void add_compare_command(CLI::App& app);
 void add_scene_command(CLI::App& app);
+void add_bench_command(CLI::App& app);
 
 }  // namespace tessera

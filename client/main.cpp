@@ -19,6 +19,7 @@ int main(int argc, char** argv) {
     add_status_command(app);
     add_compare_command(app);
     add_scene_command(app);
+    add_bench_command(app);
     start_log("tessera", "warning");
     try {
         app.parse(argc, argv);

@@ -8,6 +8,7 @@
 
 #include "common/generators.h"
 #include "common/mesh_builder.h"
+#include "common/random_number.h"
 #include "common/scene_builder.h"
 #include "common/tone_map.h"
 
@@ -19,20 +20,6 @@ constexpr vec3 room{6, 2.8f, 5};
 /// Where in the world, turned by `degrees` around the vertical.
 mat4 placed(const vec3& at, float degrees = 0) {
     return glm::rotate(glm::translate(mat4(1), at), glm::radians(degrees), vec3(0, 1, 0));
-}
-
-/// A number in [0, 1) for each index (a hash of Wellons' "lowbias32"; the same bits everywhere).
-float random_unit(std::uint32_t index) {
-    index ^= index >> 16;
-    index *= 0x7feb352du;
-    index ^= index >> 15;
-    index *= 0x846ca68bu;
-    index ^= index >> 16;
-    return float(index >> 8) * 0x1p-24f;
-}
-
-float random_between(std::uint32_t index, float lo, float hi) {
-    return lo + (hi - lo) * random_unit(index);
 }
 
 // Textures ------------------------------------------------------------------------------------

@@ -17,6 +17,10 @@ constexpr Generator generators[] = {
     {"office",
      "a furnished office like the one of Wald's thesis: five area lights, 38,000 triangles",
      generate_office},
+    {"building", "thirty furnished rooms around an atrium, each different: a million triangles",
+     generate_building},
+    {"sunflowers", "a field of 28,000 instances of ten sunflowers: a billion triangles",
+     generate_sunflowers},
 };
 
 }  // namespace

@@ -5,7 +5,9 @@
 
 namespace tessera {
 
+SceneBundle generate_building();
 SceneBundle generate_cornell();
 SceneBundle generate_office();
+SceneBundle generate_sunflowers();
 
 }  // namespace tessera

@@ -50,6 +50,15 @@ expect_ok "no light, no camera" tessera render "$work/dark.obj" -o "$work/dark.p
 grep -q "no light" "$work/err" || fail "does not say that there is no light"
 grep -q "no camera" "$work/err" || fail "does not say that there is no camera"
 
+expect_ok "bench" tessera bench trace cornell --quick --json "$work/bench.json"
+for field in ours_mrays_per_s embree_mrays_per_s ratio mismatches bytes_per_triangle; do
+    grep -q "\"$field\"" "$work/bench.json" || fail "bench misses $field"
+done
+expect_ok "bench help" tessera bench --help
+grep -q stability "$work/out" || fail "bench does not tell of its benchmarks"
+expect_error "no-such-scene" tessera bench trace no-such-scene
+expect_error "subcommand" tessera bench nonsense
+
 expect_error "missing.glb" tessera render "$work/missing.glb" -o "$work/x.png"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n' >"$work/broken.obj"
 expect_error "broken.obj:4" tessera render "$work/broken.obj" -o "$work/x.png"

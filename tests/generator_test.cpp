@@ -39,8 +39,15 @@ TEST_P(EveryGenerator, makes_the_same_bits_twice) {
 TEST_P(EveryGenerator, has_a_camera_and_light) {
     const SceneBundle bundle = *generate_scene(GetParam());
     EXPECT_FALSE(bundle.scene.cameras.empty());
+    SceneBundle shining = bundle;  // a billion triangles that do not shine would take a while
+    std::erase_if(shining.scene.instances, [&](const Instance& instance) {
+        const auto& materials = bundle.scene.objects[instance.object].materials;
+        return std::ranges::none_of(materials, [&](std::uint32_t m) {
+            return bundle.scene.materials[m].emission != vec3(0);
+        });
+    });
     double power = 0;
-    for (const WorldTriangle& t : world_triangles(bundle))
+    for (const WorldTriangle& t : world_triangles(shining))
         power += t.area() * mean_component(t.emission);
     EXPECT_GT(power, 0.01);
 }
@@ -113,6 +120,27 @@ TEST(Generator, office_stays_within_its_walls) {
     const Camera& camera = bundle.scene.cameras.at(0);
     for (const vec3& p : {camera.eye, camera.at})
         EXPECT_TRUE(p.x > 0 && p.x < 6 && p.y > 0 && p.y < 2.8f && p.z > 0 && p.z < 5);
+}
+
+TEST(Generator, building_has_a_million_triangles_that_do_not_repeat) {
+    const SceneBundle bundle = *generate_scene("building");
+    std::size_t triangles = 0;
+    for (std::uint32_t i = 0; i < bundle.scene.meshes.size(); ++i)
+        triangles += mesh_of(bundle, i).triangles.size();
+    EXPECT_GT(triangles, 900'000u);
+    EXPECT_LT(triangles, 1'300'000u);
+}
+
+TEST(Generator, sunflowers_are_a_billion_triangles) {
+    const SceneBundle bundle = *generate_scene("sunflowers");
+    std::vector<std::size_t> of_object;
+    for (const Object& object : bundle.scene.objects)
+        of_object.push_back(mesh_of(bundle, object.mesh).triangles.size());
+    std::size_t placed = 0;
+    for (const Instance& instance : bundle.scene.instances) placed += of_object[instance.object];
+    EXPECT_GT(placed, 800'000'000u);
+    EXPECT_LT(placed, 1'300'000'000u);
+    EXPECT_GE(bundle.scene.instances.size(), 28'000u);
 }
 
 TEST(Generator, office_has_mirrors_and_textures) {

@@ -6,7 +6,7 @@
 #include <cstring>
 #include <set>
 
-#include "tests/tracer_scenes.h"
+#include "worker/bench/tracer_scenes.h"
 #include "worker/clip.h"
 
 namespace tessera {
@@ -24,12 +24,13 @@ std::vector<Triangle> triangles_of(const Mesh& mesh) {
     return out;
 }
 
-KdTree build(const std::vector<Triangle>& triangles, int threads = 1) {
+KdTree build(const std::vector<Triangle>& triangles, int threads = 1,
+             KdStrategy strategy = KdStrategy::sah) {
     return tbb::task_arena(threads).execute([&] {
         return build_kdtree(
             std::uint32_t(triangles.size()),
             [&](std::uint32_t i, const Box& cell) { return clipped_bounds(triangles[i], cell); },
-            {.traversal = 1, .intersection = 1});
+            {.traversal = 1, .intersection = 1, .strategy = strategy});
     });
 }
 
@@ -97,6 +98,19 @@ TEST_P(KdTreeTest, EveryPointOfATriangleLiesInALeafThatListsIt) {
             const dvec3 p = random_point_on(triangles_[i], random);
             ASSERT_TRUE(is_listed(tree, tree.nodes[0], p, i)) << "triangle " << i;
         }
+}
+
+TEST_P(KdTreeTest, EveryStrategyListsEveryPointOfATriangle) {
+    for (const KdStrategy strategy :
+         {KdStrategy::round_robin, KdStrategy::middle, KdStrategy::plane_shifter}) {
+        const KdTree tree = build(triangles_, 1, strategy);
+        Random random(2);
+        for (std::uint32_t i = 0; i < triangles_.size(); ++i)
+            for (int k = 0; k < 5; ++k)
+                ASSERT_TRUE(
+                    is_listed(tree, tree.nodes[0], random_point_on(triangles_[i], random), i))
+                    << "strategy " << int(strategy) << " triangle " << i;
+    }
 }
 
 TEST_P(KdTreeTest, LeavesListOnlyTrianglesThatReachThem) {

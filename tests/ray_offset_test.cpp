@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "tests/tracer_scenes.h"
+#include "worker/bench/tracer_scenes.h"
 
 namespace tessera {
 namespace {

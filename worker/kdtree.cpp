@@ -8,6 +8,7 @@
 #include <array>
 #include <bit>
 #include <numeric>
+#include <optional>
 #include <unordered_map>
 
 #include "common/check.h"
@@ -157,6 +158,30 @@ Split best_split(const CostModel& model, const std::vector<Event>& events, std::
     return best;
 }
 
+/// What Kaplan and his followers choose, who look at no costs.
+std::optional<Split> middle_split(KdStrategy strategy, const Box& cell,
+                                  const std::vector<Event>& events, std::uint32_t count,
+                                  int depth) {
+    constexpr std::uint32_t enough_items = 3;
+    constexpr int deep_enough = 25;
+    if (count <= enough_items || depth >= deep_enough) return std::nullopt;
+    const vec3 e = cell.extent();
+    const int longest = e.x >= e.y ? (e.x >= e.z ? 0 : 2) : (e.y >= e.z ? 1 : 2);
+    Split split;
+    split.axis = strategy == KdStrategy::round_robin ? depth % 3 : longest;
+    split.position = cell.centre()[split.axis];
+    if (strategy == KdStrategy::plane_shifter) {
+        const auto on_axis = [&](Event event) { return axis_of(event) == split.axis; };
+        const float first = position_of(*std::ranges::find_if(events, on_axis));
+        const float last = position_of(*std::find_if(events.rbegin(), events.rend(), on_axis));
+        split.planar_below = first <= split.position;  // else all items lie above, flat ones too
+        split.position = std::min(std::max(split.position, first), last);
+    }
+    if (!(cell.lo[split.axis] < split.position && split.position < cell.hi[split.axis]))
+        return std::nullopt;
+    return split;
+}
+
 enum Side : std::uint8_t { lower, upper, both };
 
 /// A cell on its way to become a node: its items as events, sorted.
@@ -179,12 +204,12 @@ public:
 
     /// Fills `out.nodes[slot]` and appends what is below it.
     void build(Subtree& out, std::uint32_t slot, Cell cell, int depth) {
-        const CostModel model(cell.box, cell.count, costs_);
-        const Split split = best_split(model, cell.events, cell.count);
-        if (!(split.cost < model.leaf_cost()) || depth == kdtree_max_depth) {
+        const std::optional<Split> choice = choose_split(cell, depth);
+        if (!choice || depth == kdtree_max_depth) {
             make_leaf(out, slot, cell);
             return;
         }
+        const Split split = *choice;
         auto cells = divide(std::move(cell), split);
         const auto children = std::uint32_t(out.nodes.size());
         out.nodes.resize(children + 2);
@@ -205,6 +230,15 @@ public:
 private:
     // Where subtrees are worth tasks. Decides who builds them; they come out the same either way.
     static constexpr std::uint32_t parallel_items = 4096;
+
+    /// Nothing where a leaf is better.
+    std::optional<Split> choose_split(const Cell& cell, int depth) const {
+        if (costs_.strategy != KdStrategy::sah)
+            return middle_split(costs_.strategy, cell.box, cell.events, cell.count, depth);
+        const CostModel model(cell.box, cell.count, costs_);
+        const Split split = best_split(model, cell.events, cell.count);
+        return split.cost < model.leaf_cost() ? std::optional(split) : std::nullopt;
+    }
 
     static void make_leaf(Subtree& out, std::uint32_t slot, const Cell& cell) {
         const std::size_t first = out.items.size();

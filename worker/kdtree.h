@@ -56,10 +56,20 @@ struct KdTree {
 /// No leaf lies deeper: what a traversal stack must hold.
 inline constexpr int kdtree_max_depth = 96;
 
+/// How split planes are chosen. All but the first are there to be measured against it (Wald 2004,
+/// 7.3 and table 7.4); they stop at Kaplan's limits: three items, or 25 levels.
+enum class KdStrategy : std::uint8_t {
+    sah,            ///< surface area heuristic
+    round_robin,    ///< Kaplan's: the middle, of x, y and z in turn
+    middle,         ///< the middle of the longest axis
+    plane_shifter,  ///< the same; where that cuts off emptiness, as much of it as there is
+};
+
 struct KdCosts {
     float traversal = 1;       ///< of one inner node
     float intersection = 1;    ///< of one item
     float empty_bonus = 0.8f;  ///< factor on the cost of splits that cut off empty space
+    KdStrategy strategy = KdStrategy::sah;
 };
 
 /// Bounds of the part of `item` that lies in a cell: conservative, inside the cell, empty for items

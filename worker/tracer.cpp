@@ -6,6 +6,22 @@
 
 namespace tessera {
 
+void Tracer::occluded_from(const vec3& origin, std::span<const vec3> targets,
+                           std::span<std::uint8_t> blocked, OccluderCache*) const {
+    std::vector<Ray> rays;
+    rays.reserve(targets.size());
+    for (const vec3& target : targets) rays.push_back({origin, 0, target - origin, 1});
+    occluded(rays, blocked);
+}
+
+void Tracer::closest_from(const vec3& origin, std::span<const vec3> dirs,
+                          std::span<Hit> hits) const {
+    std::vector<Ray> rays;
+    rays.reserve(dirs.size());
+    for (const vec3& dir : dirs) rays.push_back({origin, 0, dir, infinity});
+    closest_hits(rays, hits);
+}
+
 std::unique_ptr<Tracer> build_tracer(TracerKind kind, std::vector<TracerObject> objects,
                                      std::vector<TracerInstance> instances, int threads) {
     CHECK(threads > 0);

@@ -4,16 +4,16 @@
 // never turns the sign of a difference of products, so a ray cannot slip between them.
 //
 // We differ in the precision. The decision, t and the barycentrics are computed in double, so that
-// they are right to the last bit or so of a float and do not depend on who calls. In front stands
-// the same test in float for four triangles at once, which only rejects, and only where its error
-// bound says that double would too.
+// they are right to the last bit or so of a float and do not depend on who calls. In front stand
+// float tests of many triangles or rays at once (worker/ray-inl.h, worker/shaft-inl.h), which decide
+// only where their error bounds say that double would decide the same.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <span>
 
 #include "common/math.h"
-#include "worker/float4.h"
 
 namespace tessera {
 
@@ -30,14 +30,15 @@ inline bool is_degenerate(const Triangle& triangle) {
            n == glm::dvec3(0);
 }
 
-/// Four triangles side by side; `ids` as in Triangle, or no_triangle in free lanes.
-struct TriangleBlock {
+/// Triangles side by side; `ids` as in Triangle, or no_triangle in free lanes.
+template <int width>
+struct alignas(4 * width) TriangleBlock {
     static constexpr std::uint32_t no_triangle = ~0u;
 
-    Float4 corners[3][3];  ///< [a, b, c][x, y, z]
-    std::uint32_t ids[4];
+    float corners[3][3][width];  ///< [a, b, c][x, y, z]
+    std::uint32_t ids[width];
 
-    /// `triangles` holds one to four. Free lanes repeat the corners of the first, so that what
+    /// `triangles` holds one to `width`. Free lanes repeat the corners of the first, so that what
     /// rejects it rejects the whole block.
     static TriangleBlock of(std::span<const Triangle> triangles);
     Triangle lane(int i) const;
@@ -54,23 +55,25 @@ class TriangleRay {
 public:
     explicit TriangleRay(const Ray& ray);
 
-    /// The lanes whose triangles the ray surely misses in tmin < t <= t_last.
-    Mask4 surely_misses(const TriangleBlock& block, float t_last) const;
-
     /// The hit with tmin < t < tmax, from either side; false where there is none.
     bool hits(const Triangle& triangle, TriangleHit& hit) const;
 
+    /// The axes, permuted so that `dir` is largest along z, and the shear that turns it to z:
+    /// dir.x / dir.z, dir.y / dir.z, 1 / dir.z.
+    std::array<int, 3> axes() const { return {x_, y_, z_}; }
+    glm::dvec3 shear() const { return {sx_, sy_, sz_}; }
+
 private:
-    int x_, y_, z_;  ///< the axes, permuted so that `dir` is largest along z
+    int x_, y_, z_;
     float tmin_, tmax_;
     glm::dvec3 org_;       ///< permuted
-    double sx_, sy_, sz_;  ///< the shear: dir.x / dir.z, dir.y / dir.z, 1 / dir.z
-    float rough_org_[3], rough_sx_, rough_sy_, rough_sz_;
+    double sx_, sy_, sz_;
 };
 
-inline TriangleBlock TriangleBlock::of(std::span<const Triangle> triangles) {
+template <int width>
+TriangleBlock<width> TriangleBlock<width>::of(std::span<const Triangle> triangles) {
     TriangleBlock block;
-    for (std::size_t i = 0; i < 4; ++i) {
+    for (std::size_t i = 0; i < width; ++i) {
         const bool free = i >= triangles.size();
         const Triangle& triangle = triangles[free ? 0 : i];
         for (int k = 0; k < 3; ++k) {
@@ -83,7 +86,8 @@ inline TriangleBlock TriangleBlock::of(std::span<const Triangle> triangles) {
     return block;
 }
 
-inline Triangle TriangleBlock::lane(int i) const {
+template <int width>
+Triangle TriangleBlock<width>::lane(int i) const {
     const auto corner = [&](int k) {
         return vec3(corners[k][0][i], corners[k][1][i], corners[k][2][i]);
     };
@@ -99,36 +103,6 @@ inline TriangleRay::TriangleRay(const Ray& ray) : tmin_(ray.tmin), tmax_(ray.tma
     sz_ = 1 / double(ray.dir[z_]);
     sx_ = ray.dir[x_] * sz_;
     sy_ = ray.dir[y_] * sz_;
-    for (int k = 0; k < 3; ++k) rough_org_[k] = float(org_[k]);
-    rough_sx_ = float(sx_);
-    rough_sy_ = float(sy_);
-    rough_sz_ = float(sz_);
-}
-
-inline Mask4 TriangleRay::surely_misses(const TriangleBlock& block, float t_last) const {
-    Float4 x[3], y[3], t[3], width{}, depth{};
-    for (int k = 0; k < 3; ++k) {
-        const Float4 z = block.corners[k][z_] - rough_org_[2];
-        t[k] = z * rough_sz_;
-        x[k] = (block.corners[k][x_] - rough_org_[0]) - rough_sx_ * z;
-        y[k] = (block.corners[k][y_] - rough_org_[1]) - rough_sy_ * z;
-        width = max(width, max(abs(x[k]), abs(y[k])));
-        depth = max(depth, abs(z));
-    }
-    const Float4 extent = max(width, depth);
-    const Float4 u = x[2] * y[1] - y[2] * x[1];
-    const Float4 v = x[0] * y[2] - y[0] * x[2];
-    const Float4 w = x[1] * y[0] - y[1] * x[0];
-    // Counted in units of 2^-24: with M = extent and |sx|, |sy| <= 1, a sheared coordinate is wrong
-    // by at most 6 M, and an edge function, with coordinates up to W = width, by 30 M W + 72 M^2.
-    constexpr float unit = 0x1p-24f;
-    const Float4 error = (64 * unit) * extent * (width + (4 * unit) * extent);
-    const Mask4 beside = (min(u, min(v, w)) < -error) & (max(u, max(v, w)) > error);
-    // A hit lies between the vertices; each t is wrong by at most 2 of these units.
-    constexpr float slack = 8 * unit;
-    const Mask4 before = max(t[0], max(t[1], t[2])) * (1 + slack) < tmin_;
-    const Mask4 behind = min(t[0], min(t[1], t[2])) * (1 - slack) > t_last;
-    return beside | before | behind;
 }
 
 inline bool TriangleRay::hits(const Triangle& triangle, TriangleHit& hit) const {

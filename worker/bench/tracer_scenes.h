@@ -1,4 +1,5 @@
-// Small scenes that are hard on a tracer, and rays that are hard on it, for the tracer's tests.
+// Small scenes that are hard on a tracer, and rays that are hard on it: for the tests and for
+// `tessera bench stability`.
 #pragma once
 
 #include <cmath>
@@ -9,6 +10,7 @@
 #include <vector>
 
 #include "common/mesh.h"
+#include "common/scene.h"
 #include "worker/tracer.h"
 
 namespace tessera {
@@ -27,6 +29,29 @@ struct TestScene {
 
 inline TestScene scene_of(std::string name, Mesh mesh) {
     return {std::move(name), {std::move(mesh)}, {{0, mat4(1)}}};
+}
+
+/// The geometry of a whole scene.
+inline TestScene test_scene(std::string name, const SceneBundle& bundle) {
+    TestScene out{std::move(name), {}, {}};
+    for (const Object& object : bundle.scene.objects)
+        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    for (const Instance& instance : bundle.scene.instances)
+        out.instances.push_back({instance.object, instance.world_from_object});
+    return out;
+}
+
+/// All instances as one object in world space.
+inline TestScene flattened(const TestScene& scene) {
+    Mesh all;
+    for (const TracerInstance& instance : scene.instances) {
+        const Mesh& mesh = scene.meshes[instance.object];
+        const auto first = std::uint32_t(all.positions.size());
+        for (const vec3& p : mesh.positions)
+            all.positions.push_back(vec3(instance.world_from_object * vec4(p, 1)));
+        for (const uvec3& t : mesh.triangles) all.triangles.push_back(first + t);
+    }
+    return scene_of(scene.name, std::move(all));
 }
 
 using Random = std::mt19937;
@@ -121,13 +146,13 @@ inline Mesh sphere_mesh(int stacks, int slices, float radius, vec3 centre = vec3
     return mesh;
 }
 
-inline Mesh sliver_mesh() {
+inline Mesh sliver_mesh(float width = 1e-4f) {
     Random random(3);
     Mesh mesh;
     for (int i = 0; i < 300; ++i) {
         const vec3 p = uniform_point(random, {vec3(-1), vec3(1)});
         const vec3 along = uniform_direction(random);
-        const vec3 across = 1e-4f * uniform_direction(random);
+        const vec3 across = width * uniform_direction(random);
         add_triangle(mesh, p, p + along, p + 0.5f * along + across);
     }
     return mesh;

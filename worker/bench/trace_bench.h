@@ -1,0 +1,22 @@
+// `tessera bench trace`: how fast rays are traced, ours beside Embree's best, in one process on one
+// thread. The two take turns on small blocks of the same rays, so that what else the machine does
+// meets both alike.
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+namespace tessera {
+
+struct TraceBenchConfig {
+    int view = 1024;      ///< width and height of the view in pixels; a multiple of 64
+    int repetitions = 7;  ///< of everything; the median counts
+    int vpls = 16;
+    bool flatten = false;  ///< trace all instances as one object, without a level above
+};
+
+/// Prints a table as it goes; returns the entries of `results`.
+nlohmann::json bench_trace(const std::vector<std::string>& scenes, const TraceBenchConfig& config);
+
+}  // namespace tessera
