@@ -744,24 +744,104 @@ void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3>
     }
 }
 
-/// Up to 16 rays to their closest hits, the nearest boxes first.
-class GroupClosest {
+/// TriangleRay::hits for 16 rays from one origin: the same operations in the same order, and so the
+/// same bits, of as many rays at once as doubles fit.
+class ExactGroup {
 public:
-    GroupClosest(const SceneObject& object, const Shaft& shaft, int g, std::span<const vec3> dirs)
-        : object_(object), shaft_(shaft), g_(g), count_(int(dirs.size())) {
+    /// False when the directions are largest along different axes.
+    bool set(const vec3& org, std::span<const vec3> dirs) {
         for (int i = 0; i < group_size; ++i) {
-            rays_[i].emplace(Ray{shaft.org_, 0, dirs[std::size_t(std::min(i, count_ - 1))], infinity});
+            const vec3& dir = dirs[std::min(std::size_t(i), dirs.size() - 1)];
+            const TriangleRay ray(Ray{org, 0, dir, infinity});
+            if (i == 0) axes_ = ray.axes();
+            if (ray.axes() != axes_) return false;
+            const glm::dvec3 shear = ray.shear();
+            sx_[i] = shear.x, sy_[i] = shear.y, sz_[i] = shear.z;
             t_[i] = infinity;
+            ids_[i] = Block::no_triangle;
         }
+        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[std::size_t(k)]];
+        return true;
     }
 
-    void run(std::span<Hit> hits) {
-        walk();
-        for (int i = 0; i < count_; ++i) hits[std::size_t(i)] = queries_[i].result();
+    /// Tests rays `first` to `first` + W - 1.
+    HWY_INLINE void test(const Block& block, int lane, int first) {
+        double x[3], y[3], z[3];
+        for (int k = 0; k < 3; ++k) {
+            x[k] = block.corners[k][axes_[0]][lane] - org_[0];
+            y[k] = block.corners[k][axes_[1]][lane] - org_[1];
+            z[k] = block.corners[k][axes_[2]][lane] - org_[2];
+        }
+        for (int i = first; i < first + W; i += W / 2) test_half(x, y, z, block.ids[lane], i);
+    }
+
+    const float* t() const { return t_; }
+    Hit hit(int i) const {
+        return ids_[i] == Block::no_triangle ? Hit{} : Hit{t_[i], u_[i], v_[i], 0, ids_[i]};
     }
 
 private:
-    void walk() {
+    HWY_INLINE void test_half(const double* px, const double* py, const double* pz,
+                              std::uint32_t id, int at) {
+        constexpr hn::ScalableTag<double> tag;
+        constexpr hn::Rebind<float, decltype(tag)> half;
+        using Double = hn::Vec<decltype(tag)>;
+        const auto set = [&](double a) HWY_ATTR { return hn::Set(tag, a); };
+        const Double sx = hn::Load(tag, sx_ + at), sy = hn::Load(tag, sy_ + at);
+        Double x[3], y[3], width = set(0);
+        for (int k = 0; k < 3; ++k) {
+            x[k] = set(px[k]) - sx * set(pz[k]);
+            y[k] = set(py[k]) - sy * set(pz[k]);
+            width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+        }
+        const Double u = x[2] * y[1] - y[2] * x[1];
+        const Double v = x[0] * y[2] - y[0] * x[2];
+        const Double w = x[1] * y[0] - y[1] * x[0];
+        const Double zero = set(0);
+        const auto beside = hn::And(hn::Min(u, hn::Min(v, w)) < zero,
+                                    hn::Max(u, hn::Max(v, w)) > zero);
+        const Double det = u + v + w;
+        const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
+        const auto hits = hn::AndNot(beside, sound);
+        if (hn::AllFalse(tag, hits)) return;
+        const Double scale = set(1) / det;
+        const Double t = (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) *
+                         (hn::Load(tag, sz_ + at) * scale);
+        const auto t_rounded = hn::DemoteTo(half, t);
+        alignas(64) float found_t[W], found_u[W], found_v[W];
+        hn::Store(t_rounded, half, found_t);
+        hn::Store(hn::DemoteTo(half, v * scale), half, found_u);
+        hn::Store(hn::DemoteTo(half, w * scale), half, found_v);
+        std::uint8_t bytes[8] = {};
+        hn::StoreMaskBits(tag, hits, bytes);
+        for (Bits hit = bytes[0]; hit; hit &= hit - 1) {
+            const int i = std::countr_zero(hit), k = at + i;
+            const float found = found_t[i];
+            if (!(found > 0 && found < infinity)) continue;
+            if (found < t_[k] || (found == t_[k] && id < ids_[k])) {
+                t_[k] = found;
+                u_[k] = found_u[i];
+                v_[k] = found_v[i];
+                ids_[k] = id;
+            }
+        }
+    }
+
+    std::array<int, 3> axes_;
+    double org_[3];
+    alignas(64) double sx_[group_size], sy_[group_size], sz_[group_size];
+    alignas(64) float t_[group_size];
+    float u_[group_size], v_[group_size];
+    std::uint32_t ids_[group_size];
+};
+
+/// Up to 16 rays to their closest hits, the nearest boxes first.
+class GroupClosest {
+public:
+    GroupClosest(const SceneObject& object, const Shaft& shaft, ExactGroup& exact)
+        : object_(object), shaft_(shaft), exact_(exact) {}
+
+    void run() {
         struct Entry {
             float z;
             WideLink link;
@@ -793,12 +873,13 @@ private:
         }
     }
 
+private:
     /// The group's slopes, as far as its rays still matter.
     Slopes reaching() const {
-        Slopes s = shaft_.group(g_);
+        Slopes s = shaft_.group(0);
         Float far = splat(0);
         for (int k = 0; k < group_size; k += W)
-            far = hn::Max(far, load(t_ + k) * load(shaft_.far_ + g_ * group_size + k));
+            far = hn::Max(far, load(exact_.t() + k) * load(shaft_.far_ + k));
         s.far = hn::MaxOfLanes(lanes_tag, far) * splat(1 + 0x1p-20f);
         return s;
     }
@@ -810,20 +891,14 @@ private:
         for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
-            for (int k = 0; k < group_size; k += W) {
-                const Bits there = ((Bits(1) << count_) - 1) >> k & all_lanes;
-                for (Bits maybe = there & not_outside(edges, lane, k); maybe; maybe &= maybe - 1) {
-                    const int i = k + std::countr_zero(maybe);
-                    queries_[i].test(*rays_[i], block, lane, 0);
-                    t_[i] = queries_[i].last_t();
-                }
-            }
+            for (int k = 0; k < group_size; k += W)
+                if (not_outside(edges, lane, k)) exact_.test(block, lane, k);
         }
     }
 
     HWY_INLINE Bits not_outside(const Edges& edges, int lane, int k) const {
-        const Float u = load(shaft_.u_ + g_ * group_size + k);
-        const Float v = load(shaft_.v_ + g_ * group_size + k);
+        const Float u = load(shaft_.u_ + k);
+        const Float v = load(shaft_.v_ + k);
         Float least = splat(infinity);
         for (const auto& n : edges.normals)
             least = hn::Min(least, hn::MulAdd(splat(n[0][lane]), u,
@@ -833,10 +908,7 @@ private:
 
     const SceneObject& object_;
     const Shaft& shaft_;
-    int g_, count_;
-    std::optional<TriangleRay> rays_[group_size];
-    Query<false> queries_[group_size];
-    alignas(64) float t_[group_size];
+    ExactGroup& exact_;
 };
 
 void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
@@ -848,8 +920,11 @@ void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> 
         Directions rays;
         rays.set(group, vec3(0));
         Shaft shaft;
-        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count))) {
-            GroupClosest(scene.objects[0], shaft, 0, group).run(out);
+        ExactGroup exact;
+        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count)) &&
+            exact.set(origin, group)) {
+            GroupClosest(scene.objects[0], shaft, exact).run();
+            for (std::size_t i = 0; i < count; ++i) out[i] = exact.hit(int(i));
         } else {
             for (std::size_t i = 0; i < count; ++i)
                 out[i] = trace<false>(scene, {origin, 0, group[i], infinity});
