@@ -19,6 +19,8 @@
 #define TESSERA_SHAFT_INL_H
 #endif
 
+#include <algorithm>
+#include <numeric>
 #include <optional>
 
 #include "worker/ray-inl.h"
@@ -726,21 +728,67 @@ void occlude(const SceneObject& object, std::uint32_t instance, const vec3& org,
     }
 }
 
+/// The same for all instances: those that the chunk's frustum meets, each in its own space, with the
+/// rays that nothing blocks yet.
+void occlude_instances(const Scene& scene, const vec3& org, const Directions& rays, int first,
+                       int count, OccluderCache* cache, std::uint8_t* flags) {
+    Shaft shaft;
+    if (!shaft.set(org, rays, first, count)) {
+        if (count > group_size) {
+            for (int i = 0; i < count; i += group_size)
+                occlude_instances(scene, org, rays, first + i, std::min(group_size, count - i),
+                                  cache, flags);
+            return;
+        }
+        for (int i = first; i < first + count; ++i)
+            flags[i] = trace<true>(scene, {org, 0, rays.at(i), 1}).valid();
+        return;
+    }
+    int left[chunk_size];
+    int left_count = count;
+    std::iota(left, left + count, first);
+    Mailbox mailbox;
+    WideLink stack[wide_stack_size<W>];
+    int top = 0;
+    stack[top++] = WideLink::node(0);
+    while (top > 0 && left_count > 0) {
+        const WideLink link = stack[--top];
+        if (!link.is_leaf()) {
+            const Node& node = scene.top.nodes[link.first()];
+            for_each_bit(bits(may_meet(shaft.children(node), shaft.chunk())),
+                         [&](int i) { stack[top++] = node.children[i]; });
+            continue;
+        }
+        for (const std::uint32_t item : std::span(&scene.items[link.first()], link.count())) {
+            if (left_count == 0 || mailbox.test_and_set(item)) continue;
+            const WideInstance& instance = scene.instances[item];
+            Directions seen;
+            for (int i = 0; i < left_count; ++i)
+                seen.add(instance.object_from_world.vector(rays.at(left[i])));
+            seen.pad();
+            occlude(scene.objects[instance.object], instance.id,
+                    instance.object_from_world.point(org), seen, 0, left_count, cache,
+                    [&](int i) -> std::uint8_t& { return flags[left[i]]; });
+            left_count = int(std::remove_if(left, left + left_count,
+                                            [&](int i) { return flags[i] != 0; }) -
+                             left);
+        }
+    }
+}
+
 void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3> targets,
                    std::span<std::uint8_t> blocked, OccluderCache* cache) {
+    std::ranges::fill(blocked, std::uint8_t(0));
     for (std::size_t start = 0; start < targets.size(); start += chunk_size) {
         const std::size_t count = std::min<std::size_t>(chunk_size, targets.size() - start);
         std::uint8_t* const flags = blocked.data() + start;
-        std::fill_n(flags, count, std::uint8_t(0));
         Directions rays;
         rays.set(targets.subspan(start, count), origin);
-        if (!scene.single) {
-            for (std::size_t i = 0; i < count; ++i)
-                flags[i] = trace<true>(scene, {origin, 0, rays.at(int(i)), 1}).valid();
-            continue;
-        }
-        occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
-                [&](int i) -> std::uint8_t& { return flags[i]; });
+        if (scene.single)
+            occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
+                    [&](int i) -> std::uint8_t& { return flags[i]; });
+        else
+            occlude_instances(scene, origin, rays, 0, int(count), cache, flags);
     }
 }
 
