@@ -11,8 +11,8 @@
 
 // SSSE3 and the later AVX-512 add nothing that the kernels use.
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_AVX3_DL)
-// Highway mistrusts GCC 12.2 with its plain target for a bug in 16-bit products (GCC 106322), of which
-// the kernels have none; the tests run this target like the others.
+// Highway mistrusts GCC 12.2 with its plain target for a bug in 16-bit products (GCC 106322), of
+// which the kernels have none; the tests run this target like the others.
 #define HWY_BROKEN_EMU128 0
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "worker/kernels.cpp"
@@ -68,8 +68,8 @@ Isa chosen_isa() {
         names += fmt::format(" {}", isa.name);
     }
     if (wanted)
-        throw UserError(
-            fmt::format("TESSERA_SIMD={}: this machine runs{}; unset it for the best", wanted, names));
+        throw UserError(fmt::format("TESSERA_SIMD={}: this machine runs{}; unset it for the best",
+                                    wanted, names));
     return best;
 }
 

@@ -4,11 +4,12 @@
 // trace packets of rays in SIMD lanes; Reshetov, Soupikov and Hurley, "Multi-Level Ray Tracing
 // Algorithm" (2005) decide a node for a whole frustum of rays by interval arithmetic. Here both
 // meet: a chunk of rays is cut into groups of 16, each lane carries the interval of slopes of one
-// group, and one step decides a box for all of them. Where the groups are wide against the boxes they
-// go on alone, ray by ray in the lanes; where few rays of a group are left those go on as single rays
-// (worker/ray-inl.h). We differ in being exact: all tests of boxes and triangles are conservative in
-// their rounding, and a ray whose hit the error bounds leave open is decided by the double test that
-// decides for single rays (worker/triangle.h). So the answers are theirs, bit for bit.
+// group, and one step decides a box for all of them. Where the groups are wide against the boxes
+// they go on alone, ray by ray in the lanes; where few rays of a group are left those go on as
+// single rays (worker/ray-inl.h). We differ in being exact: all tests of boxes and triangles are
+// conservative in their rounding, and a ray whose hit the error bounds leave open is decided by the
+// double test that decides for single rays (worker/triangle.h). So the answers are theirs, bit for
+// bit.
 //
 // Coordinates here are relative to the rays' origin and permuted: z is an axis along which all of
 // them advance, and a ray is u = (x / z), v = (y / z).
@@ -73,8 +74,8 @@ struct Boxes {
     Float lo[3], hi[3];
 };
 
-/// Whether a ray of the slopes may meet the box: the sides of the frustum against the corners of the
-/// box that lie deepest inside.
+/// Whether a ray of the slopes may meet the box: the sides of the frustum against the corners of
+/// the box that lie deepest inside.
 HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     const Float z0 = hn::Max(box.lo[2], hn::Zero(lanes_tag)), z1 = box.hi[2];
     const auto beyond = [&](Float lo, Float slope) HWY_ATTR {
@@ -89,8 +90,8 @@ HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     return hn::And(hn::And(above <= zero, below >= zero), hn::And(z0 <= z1, z0 <= s.far));
 }
 
-/// Of a block's triangles: the normals of the planes through the origin and each edge, which point to
-/// where rays pass inside, and by how much a ray's distance from them may be wrong.
+/// Of a block's triangles: the normals of the planes through the origin and each edge, which point
+/// to where rays pass inside, and by how much a ray's distance from them may be wrong.
 struct Edges {
     alignas(64) float normals[3][3][W];  ///< [edge][axis]
     alignas(64) float slack[W];
@@ -171,10 +172,10 @@ private:
 
     vec3 org_;
     int axes_[3];
-    float sign_;      ///< of the directions along z
-    float steepest_;  ///< bounds all |u|, |v|, and 1
-    float widening_;  ///< what slopes are widened by against boxes
-    float longest_;   ///< bounds the directions' coordinates
+    float sign_;                     ///< of the directions along z
+    float steepest_;                 ///< bounds all |u|, |v|, and 1
+    float widening_;                 ///< what slopes are widened by against boxes
+    float longest_;                  ///< bounds the directions' coordinates
     float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
     float chunk_[5];
     alignas(64) float groups_[5][W];
@@ -196,7 +197,8 @@ inline bool Shaft::choose_axis(const Directions& rays, int first, int end) {
             sound = hn::And(sound, hn::Abs(d) < splat(0x1p60f));  // NaN is not
         }
     if (bits(sound) != all_lanes) return false;
-    float nearest[3], size[3];  // of the directions: least advance along the axis, largest coordinate
+    float nearest[3],
+        size[3];  // of the directions: least advance along the axis, largest coordinate
     longest_ = 0;
     for (int k = 0; k < 3; ++k) {
         const float least = hn::GetLane(hn::MinOfLanes(lanes_tag, lo[k]));
@@ -280,8 +282,8 @@ inline void Shaft::bound_groups(int groups) {
 /// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
 /// frustum keeps out, that do not have all of it on one side, and none of whose edges has. Fills
 /// `edges` for them.
-HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
-                        const Boxes& ends, Edges& edges) {
+HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s, const Boxes& ends,
+                        Edges& edges) {
     Float p[3][3];  // [axis][corner]
     for (int axis = 0; axis < 3; ++axis) {
         const Float org = splat(shaft.org_[shaft.axes_[axis]]);
@@ -344,8 +346,8 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
 
     // Normals that point inwards, as far as the origin's side of the plane is known.
     const Mask known = hn::Abs(origin) > error;
-    const Float slack_of_edges = splat(0x1p-18f * shaft.steepest_) * size *
-                                 hn::MulAdd(splat(0x1p-20f), size, extent);
+    const Float slack_of_edges =
+        splat(0x1p-18f * shaft.steepest_) * size * hn::MulAdd(splat(0x1p-20f), size, extent);
     const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
     store(edge_slack, edges.slack);
     const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
@@ -365,8 +367,9 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
     return cross_plane & ~bits(most < hn::Neg(edge_slack));
 }
 
-/// A triangle as the origin sees it: the planes through the origin and its edges, and its own plane.
-/// Set up in double, so that the only errors to speak of are those of the rays' slopes in float.
+/// A triangle as the origin sees it: the planes through the origin and its edges, and its own
+/// plane. Set up in double, so that the only errors to speak of are those of the rays' slopes in
+/// float.
 class Facet {
 public:
     Facet(const Triangle& triangle, const Shaft& shaft) {
@@ -416,8 +419,8 @@ public:
     HWY_INLINE void inside(Float u, Float v, Bits& surely, Bits& maybe) const {
         Float least = splat(infinity);
         for (const auto& e : edges_)
-            least = hn::Min(
-                least, hn::MulAdd(splat(e[0]), u, hn::MulAdd(splat(e[1]), v, splat(e[2]))));
+            least =
+                hn::Min(least, hn::MulAdd(splat(e[0]), u, hn::MulAdd(splat(e[1]), v, splat(e[2]))));
         surely = bits(least > splat(slack_));
         maybe = bits(hn::Not(least < splat(-slack_)));
     }
@@ -432,9 +435,8 @@ public:
         surely = maybe = 0;
         for (int i = 0; i < W; i += W / 2) {
             auto left = hn::Set(tag, height_);
-            const auto d = [&](const float* p) HWY_ATTR {
-                return hn::PromoteTo(tag, hn::Load(half, p + i));
-            };
+            const auto d = [&](const float* p)
+                               HWY_ATTR { return hn::PromoteTo(tag, hn::Load(half, p + i)); };
             left = hn::NegMulAdd(hn::Set(tag, plane_.x), d(x), left);
             left = hn::NegMulAdd(hn::Set(tag, plane_.y), d(y), left);
             left = hn::NegMulAdd(hn::Set(tag, plane_.z), d(z), left);
@@ -526,8 +528,8 @@ private:
                                 {splat(hi[0][i]), splat(hi[1][i]), splat(hi[2][i])}};
                 const Bits reached = bits(may_meet(box, all)) & groups & live_;
                 if (!reached) continue;
-                const Bits apart = reached & bits(shaft_.spread() * splat(lo[2][i]) >
-                                                  splat(wide * extent[i]));
+                const Bits apart =
+                    reached & bits(shaft_.spread() * splat(lo[2][i]) > splat(wide * extent[i]));
                 for (Bits rest = apart; rest; rest &= rest - 1)
                     walk_group(std::countr_zero(rest), node.children[i]);
                 if (reached & ~apart) stack[top++] = {node.children[i], reached & ~apart};
@@ -728,8 +730,8 @@ void occlude(const SceneObject& object, std::uint32_t instance, const vec3& org,
     }
 }
 
-/// The same for all instances: those that the chunk's frustum meets, each in its own space, with the
-/// rays that nothing blocks yet.
+/// The same for all instances: those that the chunk's frustum meets, each in its own space, with
+/// the rays that nothing blocks yet.
 void occlude_instances(const Scene& scene, const vec3& org, const Directions& rays, int first,
                        int count, OccluderCache* cache, std::uint8_t* flags) {
     Shaft shaft;
@@ -769,9 +771,9 @@ void occlude_instances(const Scene& scene, const vec3& org, const Directions& ra
             occlude(scene.objects[instance.object], instance.id,
                     instance.object_from_world.point(org), seen, 0, left_count, cache,
                     [&](int i) -> std::uint8_t& { return flags[left[i]]; });
-            left_count = int(std::remove_if(left, left + left_count,
-                                            [&](int i) { return flags[i] != 0; }) -
-                             left);
+            left_count =
+                int(std::remove_if(left, left + left_count, [&](int i) { return flags[i] != 0; }) -
+                    left);
         }
     }
 }
@@ -846,15 +848,15 @@ private:
         const Double v = x[0] * y[2] - y[0] * x[2];
         const Double w = x[1] * y[0] - y[1] * x[0];
         const Double zero = set(0);
-        const auto beside = hn::And(hn::Min(u, hn::Min(v, w)) < zero,
-                                    hn::Max(u, hn::Max(v, w)) > zero);
+        const auto beside =
+            hn::And(hn::Min(u, hn::Min(v, w)) < zero, hn::Max(u, hn::Max(v, w)) > zero);
         const Double det = u + v + w;
         const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
         const auto hits = hn::AndNot(beside, sound);
         if (hn::AllFalse(tag, hits)) return;
         const Double scale = set(1) / det;
-        const Double t = (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) *
-                         (hn::Load(tag, sz_ + at) * scale);
+        const Double t =
+            (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) * (hn::Load(tag, sz_ + at) * scale);
         const auto t_rounded = hn::DemoteTo(half, t);
         alignas(64) float found_t[W], found_u[W], found_v[W];
         hn::Store(t_rounded, half, found_t);
@@ -934,7 +936,8 @@ private:
 
     void test_block(const Block& block, const Slopes& slopes) {
         Boxes anywhere;
-        for (int k = 0; k < 3; ++k) anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
+        for (int k = 0; k < 3; ++k)
+            anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
         Edges edges;
         for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
             const int lane = std::countr_zero(may);

@@ -7,9 +7,9 @@ namespace {
 
 /// What the collapse must know of each kd-node.
 struct Content {
-    Box box;                                 ///< of the items' parts in the cell
-    bool small = false;                      ///< becomes one leaf
-    std::uint32_t first = 0, count = 0;      ///< of a small node's items
+    Box box;                             ///< of the items' parts in the cell
+    bool small = false;                  ///< becomes one leaf
+    std::uint32_t first = 0, count = 0;  ///< of a small node's items
 };
 
 template <int width>
@@ -153,11 +153,11 @@ WideTree<width> collapse(const KdTree& tree, const ClippedBounds& clipped, std::
     return Collapse<width>(tree, clipped, leaf_size, leaf_limit, make_leaf).run();
 }
 
-template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
-template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
-template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
+template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                              const MakeLeaf&);
+template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                              const MakeLeaf&);
+template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                               const MakeLeaf&);
 
 }  // namespace tessera

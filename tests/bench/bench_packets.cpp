@@ -1,16 +1,17 @@
 // Rays that share an origin, ours against Embree's best call in one run, one thread:
 //   bench_packets [--rounds N] [SCENE...]      (default: office)
-// Shadow rays go from 16 VPLs to the points that the 16x16 tiles of a 1024x1024 view see, those left
-// out that face away; primary rays to the same tiles. Every eighth tile is traced. Scenes are flattened into one
-// object. Embree's scene is of HIGH quality, with and without ROBUST; its rays are set up with SIMD
-// and marked coherent, denormals flushed as its manual advises. Printed are the best
-// rounds, by the thread's CPU time: others share the machine.
+// Shadow rays go from 16 VPLs to the points that the 16x16 tiles of a 1024x1024 view see, those
+// left out that face away; primary rays to the same tiles. Every eighth tile is traced. Scenes are
+// flattened into one object. Embree's scene is of HIGH quality, with and without ROBUST; its rays
+// are set up with SIMD and marked coherent, denormals flushed as its manual advises. Printed are
+// the best rounds, by the thread's CPU time: others share the machine.
 #include <embree3/rtcore.h>
 #include <xmmintrin.h>
 
 #include <cstdio>
 #include <cstring>
 #include <ctime>
+#include <memory>
 #include <random>
 #include <string>
 
@@ -24,6 +25,18 @@ namespace tessera {
 namespace {
 
 constexpr int width = 1024, tile = 16, tile_rays = tile * tile, vpl_count = 16;
+
+/// The scene as it is, in two levels.
+std::unique_ptr<Tracer> instanced(const SceneBundle& bundle, std::vector<Mesh>& meshes) {
+    for (const Object& object : bundle.scene.objects)
+        meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    std::vector<TracerObject> objects;
+    for (const Mesh& mesh : meshes) objects.push_back({mesh.positions, mesh.triangles});
+    std::vector<TracerInstance> instances;
+    for (const Instance& instance : bundle.scene.instances)
+        instances.push_back({instance.object, instance.world_from_object});
+    return build_tracer(TracerKind::kdtree, objects, instances, 1);
+}
 
 Mesh flattened(const SceneBundle& bundle) {
     Mesh out;
@@ -41,7 +54,7 @@ Mesh flattened(const SceneBundle& bundle) {
 /// Rays of one origin: a tile's to one VPL, or its primary rays.
 struct Packet {
     vec3 origin;
-    std::vector<vec3> targets;  ///< or directions
+    std::vector<vec3> targets;                                   ///< or directions
     alignas(64) float x[tile_rays], y[tile_rays], z[tile_rays];  ///< the same again
 
     void finish() {
@@ -67,8 +80,7 @@ Point point_of(const Mesh& mesh, const Tracer& tracer, const Ray& ray) {
     vec3 n = normalize(cross(mesh.positions[t.y] - mesh.positions[t.x],
                              mesh.positions[t.z] - mesh.positions[t.x]));
     if (dot(n, ray.dir) > 0) n = -n;
-    const float scale =
-        std::max(magnitude(tracer.bounds().lo), magnitude(tracer.bounds().hi));
+    const float scale = std::max(magnitude(tracer.bounds().lo), magnitude(tracer.bounds().hi));
     return {offset_point(ray.org + hit.t * ray.dir, n, n, scale), n, true};
 }
 
@@ -175,7 +187,8 @@ public:
             const int left = int(p.targets.size() - first);
             for (int i = 0; i < 16; ++i) valid[i] = i < left ? -1 : 0;
             rtcOccluded16(valid, scene_, &context, &rays);
-            for (int i = 0; i < std::min(left, 16); ++i) out[first + std::size_t(i)] = rays.tfar[i] < 0;
+            for (int i = 0; i < std::min(left, 16); ++i)
+                out[first + std::size_t(i)] = rays.tfar[i] < 0;
         }
     }
 
@@ -193,7 +206,8 @@ public:
             f[10][i] = f[11][i] = 0;
         }
         const auto u = [&](int k) { return reinterpret_cast<unsigned*>(f[k]); };
-        const RTCRayNp soa{f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], u(9), u(10), u(11)};
+        const RTCRayNp soa{f[0], f[1], f[2], f[3], f[4],  f[5],
+                           f[6], f[7], f[8], u(9), u(10), u(11)};
         rtcOccludedNp(scene_, &context, &soa, unsigned(n));
         for (std::size_t i = 0; i < n; ++i) out[i] = f[8][i] < 0;
     }
@@ -250,7 +264,8 @@ double cpu_seconds() {
     return double(t.tv_sec) + 1e-9 * double(t.tv_nsec);
 }
 
-/// Mray/s of the best round of `run(packet, out)` over all packets; `results` holds the last round's.
+/// Mray/s of the best round of `run(packet, out)` over all packets; `results` holds the last
+/// round's.
 template <class Result, class Run>
 double rate(const std::vector<Packet>& packets, std::size_t rays, int rounds,
             std::vector<Result>& results, Run&& run) {
@@ -281,8 +296,8 @@ auto with_flush_to_zero(Run&& run) {
 void bench(const std::string& name, int rounds) {
     const SceneBundle bundle = load_scene(name).bundle;
     const Mesh mesh = flattened(bundle);
-    const auto tracer = build_tracer(TracerKind::kdtree, {{mesh.positions, mesh.triangles}},
-                                     {{0, mat4(1)}}, 1);
+    const auto tracer =
+        build_tracer(TracerKind::kdtree, {{mesh.positions, mesh.triangles}}, {{0, mat4(1)}}, 1);
     Camera camera;
     if (!bundle.scene.cameras.empty()) {
         camera = bundle.scene.cameras[0];
@@ -304,16 +319,21 @@ void bench(const std::string& name, int rounds) {
         return &caches.emplace_back(origin, OccluderCache{}).second;
     };
     caches.reserve(vpl_count);
-    const double shadow = rate(work.shadow, work.shadow_rays, rounds, ours_blocked,
-                               [&](const Packet& p, std::uint8_t* out) {
-                                   tracer->occluded_from(p.origin, p.targets,
-                                                         {out, p.targets.size()},
-                                                         cache_of(p.origin));
-                               });
+    const double shadow = rate(
+        work.shadow, work.shadow_rays, rounds, ours_blocked,
+        [&](const Packet& p, std::uint8_t* out) {
+            tracer->occluded_from(p.origin, p.targets, {out, p.targets.size()}, cache_of(p.origin));
+        });
     rate(work.shadow, work.shadow_rays, 1, singles, [&](const Packet& p, std::uint8_t* out) {
         for (std::size_t i = 0; i < p.targets.size(); ++i)
             out[i] = tracer->occluded({p.origin, 0, p.targets[i] - p.origin, 1});
     });
+    std::vector<Mesh> meshes;
+    const auto two_levels = instanced(bundle, meshes);
+    const double shadow_two_levels = rate(
+        work.shadow, work.shadow_rays, rounds, blocked, [&](const Packet& p, std::uint8_t* out) {
+            two_levels->occluded_from(p.origin, p.targets, {out, p.targets.size()}, nullptr);
+        });
     const double primary =
         rate(work.primary, work.primary_rays, rounds, ours_hits, [&](const Packet& p, Hit* out) {
             tracer->closest_from(p.origin, p.targets, {out, p.targets.size()});
@@ -327,7 +347,8 @@ void bench(const std::string& name, int rounds) {
                 name.c_str(), mesh.triangles.size(), work.shadow_rays,
                 std::size_t(std::count(singles.begin(), singles.end(), 1)),
                 differ(ours_blocked, singles, std::equal_to()));
-    std::printf("  ours                shadow %6.1f  primary %6.1f Mray/s\n", shadow, primary);
+    std::printf("  ours shadow %.1f, in two levels %.1f, primary %.1f Mray/s\n", shadow,
+                shadow_two_levels, primary);
     for (const bool robust : {false}) {
         const Embree embree(mesh, robust);
         double best = 0;
