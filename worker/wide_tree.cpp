@@ -57,7 +57,7 @@ private:
         if (a.small && b.small) merge(content, a, b);
     }
 
-    /// Makes one leaf of two when that saves blocks of items.
+    /// Makes one leaf of two that fit in one.
     void merge(Content& content, const Content& a, const Content& b) {
         const auto list = lists_.begin();
         std::vector<std::uint32_t> both;
