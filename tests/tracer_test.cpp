@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <filesystem>
 
 #include "common/check.h"
@@ -105,6 +106,16 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
         }
 }
 
+/// The geometry of a whole scene.
+TestScene test_scene(std::string name, const SceneBundle& bundle) {
+    TestScene out{std::move(name), {}, {}};
+    for (const Object& object : bundle.scene.objects)
+        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
+    for (const Instance& instance : bundle.scene.instances)
+        out.instances.push_back({instance.object, instance.world_from_object});
+    return out;
+}
+
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.
 std::vector<vec3> targets_around(RayMaker& maker, Random& random, float extent) {
     std::vector<vec3> targets;
@@ -134,9 +145,46 @@ void move_onto_surfaces(const Tracer& tracer, const vec3& origin, float extent,
     }
 }
 
+/// Our tracer on one instruction set; null where this machine does not have it.
+std::unique_ptr<Tracer> build_forced(const TestScene& scene, const char* isa) {
+    ::setenv("TESSERA_SIMD", isa, 1);
+    std::unique_ptr<Tracer> tracer;
+    try {
+        tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+    } catch (const UserError&) {
+    }
+    ::unsetenv("TESSERA_SIMD");
+    return tracer;
+}
+
+constexpr const char* isas[] = {"scalar", "sse4", "avx2", "avx512"};
+
+TEST_P(TracerTest, EveryInstructionSetAnswersTheSame) {
+    const TestScene& scene = GetParam();
+    const auto reference = build_forced(scene, "scalar");
+    for (const char* const isa : isas) {
+        const auto tracer = build_forced(scene, isa);
+        if (!tracer) continue;
+        RayMaker maker(scene, reference->bounds(), 13);
+        for (int i = 0; i < 2000; ++i) {
+            const Ray ray = maker.ray(i % RayMaker::kinds);
+            const Hit expected = reference->closest_hit(ray);
+            ASSERT_EQ(tracer->closest_hit(ray), expected) << isa << " ray " << i;
+            ASSERT_EQ(tracer->occluded(ray), expected.valid()) << isa << " ray " << i;
+        }
+    }
+}
+
+TEST(Tracer, RefusesInstructionSetsThatItDoesNotKnow) {
+    const TestScene scene = scene_of("room", room_mesh());
+    EXPECT_EQ(build_forced(scene, "mmx"), nullptr);
+    EXPECT_NE(build_forced(scene, "scalar"), nullptr);
+}
+
 /// Each answer must be that of the single ray.
-void expect_packets_equal_rays(const TestScene& scene, int rounds) {
-    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+void expect_packets_equal_rays(const TestScene& scene, const char* isa, int rounds) {
+    const auto tracer = build_forced(scene, isa);
+    if (!tracer) return;
     RayMaker maker(scene, tracer->bounds(), 5);
     Random random(6);
     const float extent = std::max(length(tracer->bounds().extent()), 1.0f);
@@ -165,7 +213,20 @@ void expect_packets_equal_rays(const TestScene& scene, int rounds) {
     }
 }
 
-TEST_P(TracerTest, PacketsAnswerAsSingleRays) { expect_packets_equal_rays(GetParam(), 400); }
+TEST_P(TracerTest, PacketsAnswerAsSingleRays) {
+    for (const char* const isa : isas) {
+        SCOPED_TRACE(isa);
+        expect_packets_equal_rays(GetParam(), isa, 250);
+    }
+}
+
+TEST(Tracer, PacketsAnswerAsSingleRaysInGeneratedScenes) {
+    for (const GeneratedScene& generated : generated_scenes()) {
+        const SceneBundle bundle = *generate_scene(generated.name);
+        SCOPED_TRACE(generated.name);
+        expect_packets_equal_rays(test_scene(generated.name, bundle), isas[3], 60);
+    }
+}
 
 TEST_P(TracerTest, AgreesWithEmbree) { compare_with_embree(GetParam(), 14000); }
 

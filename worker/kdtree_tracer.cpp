@@ -38,16 +38,17 @@ WideObject<width> build_object(const TracerObject& object) {
     WideObject<width> out;
     std::vector<Triangle> list;
     const std::uint32_t limit = WideLink::max_count * width;
-    out.tree = collapse<width>(tree, clipped, width, limit, [&](std::span<const std::uint32_t> items) {
-        const auto leaf = WideLink::leaf(std::uint32_t(out.blocks.size()),
-                                         std::uint32_t(items.size() + width - 1) / width);
-        list.clear();
-        for (const std::uint32_t item : items) list.push_back(triangles[item]);
-        for (std::size_t i = 0; i < list.size(); i += width)
-            out.blocks.push_back(TriangleBlock<width>::of(
-                std::span(list).subspan(i).first(std::min<std::size_t>(width, list.size() - i))));
-        return leaf;
-    });
+    out.tree =
+        collapse<width>(tree, clipped, width, limit, [&](std::span<const std::uint32_t> items) {
+            const auto leaf = WideLink::leaf(std::uint32_t(out.blocks.size()),
+                                             std::uint32_t(items.size() + width - 1) / width);
+            list.clear();
+            for (const std::uint32_t item : items) list.push_back(triangles[item]);
+            for (std::size_t i = 0; i < list.size(); i += width)
+                out.blocks.push_back(TriangleBlock<width>::of(std::span(list).subspan(i).first(
+                    std::min<std::size_t>(width, list.size() - i))));
+            return leaf;
+        });
     CHECK(out.blocks.size() <= WideLink::max_first);
     out.blocks.shrink_to_fit();
     return out;

@@ -9,8 +9,8 @@ namespace tessera {
 
 enum class Isa { scalar, sse4, avx2, avx512 };
 
-/// What this machine runs best, or what the environment's TESSERA_SIMD names. Throws UserError for a
-/// name that is unknown or that this machine cannot run.
+/// What this machine runs best, or what the environment's TESSERA_SIMD names. Throws UserError for
+/// a name that is unknown or that this machine cannot run.
 Isa chosen_isa();
 
 /// The lanes of one instruction, and so the children of a node.
@@ -21,8 +21,9 @@ template <int width>
 struct Kernels {
     void (*closest_hits)(const WideScene<width>&, std::span<const Ray>, std::span<Hit>);
     void (*occluded)(const WideScene<width>&, std::span<const Ray>, std::span<std::uint8_t>);
-    void (*occluded_from)(const WideScene<width>&, const vec3& origin, std::span<const vec3> targets,
-                          std::span<std::uint8_t> blocked, OccluderCache*);
+    void (*occluded_from)(const WideScene<width>&, const vec3& origin,
+                          std::span<const vec3> targets, std::span<std::uint8_t> blocked,
+                          OccluderCache*);
     void (*closest_from)(const WideScene<width>&, const vec3& origin, std::span<const vec3> dirs,
                          std::span<Hit>);
 };

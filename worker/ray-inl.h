@@ -2,12 +2,12 @@
 // of a block, in one step.
 //
 // Wald, Benthin and Boulos, "Getting Rid of Packets: Efficient SIMD Single-Ray Traversal using
-// Multi-branching BVHs" (2008), for both levels of the scene (Wald 2004, chapter 9), for closest hit
-// and for occlusion. We differ in being exact: a box is skipped only when the ray misses it for
+// Multi-branching BVHs" (2008), for both levels of the scene (Wald 2004, chapter 9), for closest
+// hit and for occlusion. We differ in being exact: a box is skipped only when the ray misses it for
 // certain, the float test of triangles only rejects, within its error bound, and what it leaves is
-// decided in double (worker/triangle.h). The nearer plane of a slab follows from the sign bit of the
-// direction, which tells -0 from +0; a ray inside a slab's face (distance NaN) keeps its segment; and
-// traversal ends when no box left to visit starts before the hit.
+// decided in double (worker/triangle.h). The nearer plane of a slab follows from the sign bit of
+// the direction, which tells -0 from +0; a ray inside a slab's face (distance NaN) keeps its
+// segment; and traversal ends when no box left to visit starts before the hit.
 #if defined(TESSERA_RAY_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef TESSERA_RAY_INL_H
 #undef TESSERA_RAY_INL_H
@@ -49,8 +49,7 @@ public:
         Float t_near = splat(tmin_), t_far = splat(t_last);
         for (int k = 0; k < 3; ++k) {
             const Float org = splat(org_[k]);
-            const Float entry =
-                (load(node.bounds[k][negative_[k]]) - org) * splat(inv_below_[k]);
+            const Float entry = (load(node.bounds[k][negative_[k]]) - org) * splat(inv_below_[k]);
             const Float exit =
                 (load(node.bounds[k][1 - negative_[k]]) - org) * splat(inv_above_[k]);
             t_near = max_or_second(entry, t_near);
@@ -155,8 +154,7 @@ public:
         // wrong by at most 6 M, and an edge function, with coordinates up to W = width, by
         // 30 M W + 72 M^2.
         constexpr float unit = 0x1p-24f;
-        const Float error =
-            splat(64 * unit) * extent * hn::MulAdd(splat(4 * unit), extent, width);
+        const Float error = splat(64 * unit) * extent * hn::MulAdd(splat(4 * unit), extent, width);
         const Mask beside = hn::And(min3(u, v, w) < hn::Neg(error), max3(u, v, w) > error);
         // A hit lies between the vertices; each t is wrong by at most 2 of these units.
         constexpr float slack = 8 * unit;
@@ -176,7 +174,8 @@ class Query {
 public:
     explicit Query(float tmax = infinity) { hit_.t = tmax; }
 
-    /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's space.
+    /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's
+    /// space.
     HWY_INLINE void trace(const SceneObject& object, const Ray& ray, std::uint32_t instance,
                           WideLink from = WideLink::node(0)) {
         const BoxRay box_ray(ray);
@@ -239,16 +238,17 @@ private:
 template <bool any_hit>
 void trace_instances(const Scene& scene, const Ray& ray, Query<any_hit>& query) {
     Mailbox mailbox;
-    traverse<!any_hit>(scene.top, BoxRay(ray), query.last_t(), WideLink::node(0), [&](WideLink leaf) HWY_ATTR {
-        for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
-            if (query.last_t() == -infinity) break;
-            if (mailbox.test_and_set(item)) continue;
-            const WideInstance& instance = scene.instances[item];
-            query.trace(scene.objects[instance.object], transformed(ray, instance.object_from_world),
-                        instance.id);
-        }
-        return query.last_t();
-    });
+    traverse<!any_hit>(
+        scene.top, BoxRay(ray), query.last_t(), WideLink::node(0), [&](WideLink leaf) HWY_ATTR {
+            for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
+                if (query.last_t() == -infinity) break;
+                if (mailbox.test_and_set(item)) continue;
+                const WideInstance& instance = scene.instances[item];
+                query.trace(scene.objects[instance.object],
+                            transformed(ray, instance.object_from_world), instance.id);
+            }
+            return query.last_t();
+        });
 }
 
 template <bool any_hit>

@@ -4,11 +4,12 @@
 // trace packets of rays in SIMD lanes; Reshetov, Soupikov and Hurley, "Multi-Level Ray Tracing
 // Algorithm" (2005) decide a node for a whole frustum of rays by interval arithmetic. Here both
 // meet: a chunk of rays is cut into groups of 16, each lane carries the interval of slopes of one
-// group, and one step decides a box for all of them. Where the groups are wide against the boxes they
-// go on alone, ray by ray in the lanes; where few rays of a group are left those go on as single rays
-// (worker/ray-inl.h). We differ in being exact: all tests of boxes and triangles are conservative in
-// their rounding, and a ray whose hit the error bounds leave open is decided by the double test that
-// decides for single rays (worker/triangle.h). So the answers are theirs, bit for bit.
+// group, and one step decides a box for all of them. Where the groups are wide against the boxes
+// they go on alone, ray by ray in the lanes; where few rays of a group are left those go on as
+// single rays (worker/ray-inl.h). We differ in being exact: all tests of boxes and triangles are
+// conservative in their rounding, and a ray whose hit the error bounds leave open is decided by the
+// double test that decides for single rays (worker/triangle.h). So the answers are theirs, bit for
+// bit.
 //
 // Coordinates here are relative to the rays' origin and permuted: z is an axis along which all of
 // them advance, and a ray is u = (x / z), v = (y / z).
@@ -19,6 +20,8 @@
 #define TESSERA_SHAFT_INL_H
 #endif
 
+#include <algorithm>
+#include <numeric>
 #include <optional>
 
 #include "worker/ray-inl.h"
@@ -71,8 +74,8 @@ struct Boxes {
     Float lo[3], hi[3];
 };
 
-/// Whether a ray of the slopes may meet the box: the sides of the frustum against the corners of the
-/// box that lie deepest inside.
+/// Whether a ray of the slopes may meet the box: the sides of the frustum against the corners of
+/// the box that lie deepest inside.
 HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     const Float z0 = hn::Max(box.lo[2], hn::Zero(lanes_tag)), z1 = box.hi[2];
     const auto beyond = [&](Float lo, Float slope) HWY_ATTR {
@@ -87,8 +90,8 @@ HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     return hn::And(hn::And(above <= zero, below >= zero), hn::And(z0 <= z1, z0 <= s.far));
 }
 
-/// Of a block's triangles: the normals of the planes through the origin and each edge, which point to
-/// where rays pass inside, and by how much a ray's distance from them may be wrong.
+/// Of a block's triangles: the normals of the planes through the origin and each edge, which point
+/// to where rays pass inside, and by how much a ray's distance from them may be wrong.
 struct Edges {
     alignas(64) float normals[3][3][W];  ///< [edge][axis]
     alignas(64) float slack[W];
@@ -169,10 +172,10 @@ private:
 
     vec3 org_;
     int axes_[3];
-    float sign_;      ///< of the directions along z
-    float steepest_;  ///< bounds all |u|, |v|, and 1
-    float widening_;  ///< what slopes are widened by against boxes
-    float longest_;   ///< bounds the directions' coordinates
+    float sign_;                     ///< of the directions along z
+    float steepest_;                 ///< bounds all |u|, |v|, and 1
+    float widening_;                 ///< what slopes are widened by against boxes
+    float longest_;                  ///< bounds the directions' coordinates
     float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
     float chunk_[5];
     alignas(64) float groups_[5][W];
@@ -194,7 +197,8 @@ inline bool Shaft::choose_axis(const Directions& rays, int first, int end) {
             sound = hn::And(sound, hn::Abs(d) < splat(0x1p60f));  // NaN is not
         }
     if (bits(sound) != all_lanes) return false;
-    float nearest[3], size[3];  // of the directions: least advance along the axis, largest coordinate
+    float nearest[3],
+        size[3];  // of the directions: least advance along the axis, largest coordinate
     longest_ = 0;
     for (int k = 0; k < 3; ++k) {
         const float least = hn::GetLane(hn::MinOfLanes(lanes_tag, lo[k]));
@@ -278,8 +282,8 @@ inline void Shaft::bound_groups(int groups) {
 /// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
 /// frustum keeps out, that do not have all of it on one side, and none of whose edges has. Fills
 /// `edges` for them.
-HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
-                        const Boxes& ends, Edges& edges) {
+HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s, const Boxes& ends,
+                        Edges& edges) {
     Float p[3][3];  // [axis][corner]
     for (int axis = 0; axis < 3; ++axis) {
         const Float org = splat(shaft.org_[shaft.axes_[axis]]);
@@ -342,8 +346,8 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
 
     // Normals that point inwards, as far as the origin's side of the plane is known.
     const Mask known = hn::Abs(origin) > error;
-    const Float slack_of_edges = splat(0x1p-18f * shaft.steepest_) * size *
-                                 hn::MulAdd(splat(0x1p-20f), size, extent);
+    const Float slack_of_edges =
+        splat(0x1p-18f * shaft.steepest_) * size * hn::MulAdd(splat(0x1p-20f), size, extent);
     const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
     store(edge_slack, edges.slack);
     const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
@@ -363,8 +367,9 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
     return cross_plane & ~bits(most < hn::Neg(edge_slack));
 }
 
-/// A triangle as the origin sees it: the planes through the origin and its edges, and its own plane.
-/// Set up in double, so that the only errors to speak of are those of the rays' slopes in float.
+/// A triangle as the origin sees it: the planes through the origin and its edges, and its own
+/// plane. Set up in double, so that the only errors to speak of are those of the rays' slopes in
+/// float.
 class Facet {
 public:
     Facet(const Triangle& triangle, const Shaft& shaft) {
@@ -414,8 +419,8 @@ public:
     HWY_INLINE void inside(Float u, Float v, Bits& surely, Bits& maybe) const {
         Float least = splat(infinity);
         for (const auto& e : edges_)
-            least = hn::Min(
-                least, hn::MulAdd(splat(e[0]), u, hn::MulAdd(splat(e[1]), v, splat(e[2]))));
+            least =
+                hn::Min(least, hn::MulAdd(splat(e[0]), u, hn::MulAdd(splat(e[1]), v, splat(e[2]))));
         surely = bits(least > splat(slack_));
         maybe = bits(hn::Not(least < splat(-slack_)));
     }
@@ -430,9 +435,8 @@ public:
         surely = maybe = 0;
         for (int i = 0; i < W; i += W / 2) {
             auto left = hn::Set(tag, height_);
-            const auto d = [&](const float* p) HWY_ATTR {
-                return hn::PromoteTo(tag, hn::Load(half, p + i));
-            };
+            const auto d = [&](const float* p)
+                               HWY_ATTR { return hn::PromoteTo(tag, hn::Load(half, p + i)); };
             left = hn::NegMulAdd(hn::Set(tag, plane_.x), d(x), left);
             left = hn::NegMulAdd(hn::Set(tag, plane_.y), d(y), left);
             left = hn::NegMulAdd(hn::Set(tag, plane_.z), d(z), left);
@@ -524,8 +528,8 @@ private:
                                 {splat(hi[0][i]), splat(hi[1][i]), splat(hi[2][i])}};
                 const Bits reached = bits(may_meet(box, all)) & groups & live_;
                 if (!reached) continue;
-                const Bits apart = reached & bits(shaft_.spread() * splat(lo[2][i]) >
-                                                  splat(wide * extent[i]));
+                const Bits apart =
+                    reached & bits(shaft_.spread() * splat(lo[2][i]) > splat(wide * extent[i]));
                 for (Bits rest = apart; rest; rest &= rest - 1)
                     walk_group(std::countr_zero(rest), node.children[i]);
                 if (reached & ~apart) stack[top++] = {node.children[i], reached & ~apart};
@@ -726,42 +730,168 @@ void occlude(const SceneObject& object, std::uint32_t instance, const vec3& org,
     }
 }
 
+/// The same for all instances: those that the chunk's frustum meets, each in its own space, with
+/// the rays that nothing blocks yet.
+void occlude_instances(const Scene& scene, const vec3& org, const Directions& rays, int first,
+                       int count, OccluderCache* cache, std::uint8_t* flags) {
+    Shaft shaft;
+    if (!shaft.set(org, rays, first, count)) {
+        if (count > group_size) {
+            for (int i = 0; i < count; i += group_size)
+                occlude_instances(scene, org, rays, first + i, std::min(group_size, count - i),
+                                  cache, flags);
+            return;
+        }
+        for (int i = first; i < first + count; ++i)
+            flags[i] = trace<true>(scene, {org, 0, rays.at(i), 1}).valid();
+        return;
+    }
+    int left[chunk_size];
+    int left_count = count;
+    std::iota(left, left + count, first);
+    Mailbox mailbox;
+    WideLink stack[wide_stack_size<W>];
+    int top = 0;
+    stack[top++] = WideLink::node(0);
+    while (top > 0 && left_count > 0) {
+        const WideLink link = stack[--top];
+        if (!link.is_leaf()) {
+            const Node& node = scene.top.nodes[link.first()];
+            for_each_bit(bits(may_meet(shaft.children(node), shaft.chunk())),
+                         [&](int i) { stack[top++] = node.children[i]; });
+            continue;
+        }
+        for (const std::uint32_t item : std::span(&scene.items[link.first()], link.count())) {
+            if (left_count == 0 || mailbox.test_and_set(item)) continue;
+            const WideInstance& instance = scene.instances[item];
+            Directions seen;
+            for (int i = 0; i < left_count; ++i)
+                seen.add(instance.object_from_world.vector(rays.at(left[i])));
+            seen.pad();
+            occlude(scene.objects[instance.object], instance.id,
+                    instance.object_from_world.point(org), seen, 0, left_count, cache,
+                    [&](int i) -> std::uint8_t& { return flags[left[i]]; });
+            left_count =
+                int(std::remove_if(left, left + left_count, [&](int i) { return flags[i] != 0; }) -
+                    left);
+        }
+    }
+}
+
 void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3> targets,
                    std::span<std::uint8_t> blocked, OccluderCache* cache) {
+    std::ranges::fill(blocked, std::uint8_t(0));
     for (std::size_t start = 0; start < targets.size(); start += chunk_size) {
         const std::size_t count = std::min<std::size_t>(chunk_size, targets.size() - start);
         std::uint8_t* const flags = blocked.data() + start;
-        std::fill_n(flags, count, std::uint8_t(0));
         Directions rays;
         rays.set(targets.subspan(start, count), origin);
-        if (!scene.single) {
-            for (std::size_t i = 0; i < count; ++i)
-                flags[i] = trace<true>(scene, {origin, 0, rays.at(int(i)), 1}).valid();
-            continue;
-        }
-        occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
-                [&](int i) -> std::uint8_t& { return flags[i]; });
+        if (scene.single)
+            occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
+                    [&](int i) -> std::uint8_t& { return flags[i]; });
+        else
+            occlude_instances(scene, origin, rays, 0, int(count), cache, flags);
     }
 }
+
+/// TriangleRay::hits for 16 rays from one origin: the same operations in the same order, and so the
+/// same bits, of as many rays at once as doubles fit.
+class ExactGroup {
+public:
+    /// False when the directions are largest along different axes.
+    bool set(const vec3& org, std::span<const vec3> dirs) {
+        for (int i = 0; i < group_size; ++i) {
+            const vec3& dir = dirs[std::min(std::size_t(i), dirs.size() - 1)];
+            const TriangleRay ray(Ray{org, 0, dir, infinity});
+            if (i == 0) axes_ = ray.axes();
+            if (ray.axes() != axes_) return false;
+            const glm::dvec3 shear = ray.shear();
+            sx_[i] = shear.x, sy_[i] = shear.y, sz_[i] = shear.z;
+            t_[i] = infinity;
+            ids_[i] = Block::no_triangle;
+        }
+        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[std::size_t(k)]];
+        return true;
+    }
+
+    /// Tests rays `first` to `first` + W - 1.
+    HWY_INLINE void test(const Block& block, int lane, int first) {
+        double x[3], y[3], z[3];
+        for (int k = 0; k < 3; ++k) {
+            x[k] = block.corners[k][axes_[0]][lane] - org_[0];
+            y[k] = block.corners[k][axes_[1]][lane] - org_[1];
+            z[k] = block.corners[k][axes_[2]][lane] - org_[2];
+        }
+        for (int i = first; i < first + W; i += W / 2) test_half(x, y, z, block.ids[lane], i);
+    }
+
+    const float* t() const { return t_; }
+    Hit hit(int i) const {
+        return ids_[i] == Block::no_triangle ? Hit{} : Hit{t_[i], u_[i], v_[i], 0, ids_[i]};
+    }
+
+private:
+    HWY_INLINE void test_half(const double* px, const double* py, const double* pz,
+                              std::uint32_t id, int at) {
+        constexpr hn::ScalableTag<double> tag;
+        constexpr hn::Rebind<float, decltype(tag)> half;
+        using Double = hn::Vec<decltype(tag)>;
+        const auto set = [&](double a) HWY_ATTR { return hn::Set(tag, a); };
+        const Double sx = hn::Load(tag, sx_ + at), sy = hn::Load(tag, sy_ + at);
+        Double x[3], y[3], width = set(0);
+        for (int k = 0; k < 3; ++k) {
+            x[k] = set(px[k]) - sx * set(pz[k]);
+            y[k] = set(py[k]) - sy * set(pz[k]);
+            width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+        }
+        const Double u = x[2] * y[1] - y[2] * x[1];
+        const Double v = x[0] * y[2] - y[0] * x[2];
+        const Double w = x[1] * y[0] - y[1] * x[0];
+        const Double zero = set(0);
+        const auto beside =
+            hn::And(hn::Min(u, hn::Min(v, w)) < zero, hn::Max(u, hn::Max(v, w)) > zero);
+        const Double det = u + v + w;
+        const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
+        const auto hits = hn::AndNot(beside, sound);
+        if (hn::AllFalse(tag, hits)) return;
+        const Double scale = set(1) / det;
+        const Double t =
+            (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) * (hn::Load(tag, sz_ + at) * scale);
+        const auto t_rounded = hn::DemoteTo(half, t);
+        alignas(64) float found_t[W], found_u[W], found_v[W];
+        hn::Store(t_rounded, half, found_t);
+        hn::Store(hn::DemoteTo(half, v * scale), half, found_u);
+        hn::Store(hn::DemoteTo(half, w * scale), half, found_v);
+        std::uint8_t bytes[8] = {};
+        hn::StoreMaskBits(tag, hits, bytes);
+        for (Bits hit = bytes[0]; hit; hit &= hit - 1) {
+            const int i = std::countr_zero(hit), k = at + i;
+            const float found = found_t[i];
+            if (!(found > 0 && found < infinity)) continue;
+            if (found < t_[k] || (found == t_[k] && id < ids_[k])) {
+                t_[k] = found;
+                u_[k] = found_u[i];
+                v_[k] = found_v[i];
+                ids_[k] = id;
+            }
+        }
+    }
+
+    std::array<int, 3> axes_;
+    double org_[3];
+    alignas(64) double sx_[group_size], sy_[group_size], sz_[group_size];
+    alignas(64) float t_[group_size];
+    float u_[group_size], v_[group_size];
+    std::uint32_t ids_[group_size];
+};
 
 /// Up to 16 rays to their closest hits, the nearest boxes first.
 class GroupClosest {
 public:
-    GroupClosest(const SceneObject& object, const Shaft& shaft, int g, std::span<const vec3> dirs)
-        : object_(object), shaft_(shaft), g_(g), count_(int(dirs.size())) {
-        for (int i = 0; i < group_size; ++i) {
-            rays_[i].emplace(Ray{shaft.org_, 0, dirs[std::size_t(std::min(i, count_ - 1))], infinity});
-            t_[i] = infinity;
-        }
-    }
+    GroupClosest(const SceneObject& object, const Shaft& shaft, ExactGroup& exact)
+        : object_(object), shaft_(shaft), exact_(exact) {}
 
-    void run(std::span<Hit> hits) {
-        walk();
-        for (int i = 0; i < count_; ++i) hits[std::size_t(i)] = queries_[i].result();
-    }
-
-private:
-    void walk() {
+    void run() {
         struct Entry {
             float z;
             WideLink link;
@@ -793,37 +923,33 @@ private:
         }
     }
 
+private:
     /// The group's slopes, as far as its rays still matter.
     Slopes reaching() const {
-        Slopes s = shaft_.group(g_);
+        Slopes s = shaft_.group(0);
         Float far = splat(0);
         for (int k = 0; k < group_size; k += W)
-            far = hn::Max(far, load(t_ + k) * load(shaft_.far_ + g_ * group_size + k));
+            far = hn::Max(far, load(exact_.t() + k) * load(shaft_.far_ + k));
         s.far = hn::MaxOfLanes(lanes_tag, far) * splat(1 + 0x1p-20f);
         return s;
     }
 
     void test_block(const Block& block, const Slopes& slopes) {
         Boxes anywhere;
-        for (int k = 0; k < 3; ++k) anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
+        for (int k = 0; k < 3; ++k)
+            anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
         Edges edges;
         for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
-            for (int k = 0; k < group_size; k += W) {
-                const Bits there = ((Bits(1) << count_) - 1) >> k & all_lanes;
-                for (Bits maybe = there & not_outside(edges, lane, k); maybe; maybe &= maybe - 1) {
-                    const int i = k + std::countr_zero(maybe);
-                    queries_[i].test(*rays_[i], block, lane, 0);
-                    t_[i] = queries_[i].last_t();
-                }
-            }
+            for (int k = 0; k < group_size; k += W)
+                if (not_outside(edges, lane, k)) exact_.test(block, lane, k);
         }
     }
 
     HWY_INLINE Bits not_outside(const Edges& edges, int lane, int k) const {
-        const Float u = load(shaft_.u_ + g_ * group_size + k);
-        const Float v = load(shaft_.v_ + g_ * group_size + k);
+        const Float u = load(shaft_.u_ + k);
+        const Float v = load(shaft_.v_ + k);
         Float least = splat(infinity);
         for (const auto& n : edges.normals)
             least = hn::Min(least, hn::MulAdd(splat(n[0][lane]), u,
@@ -833,10 +959,7 @@ private:
 
     const SceneObject& object_;
     const Shaft& shaft_;
-    int g_, count_;
-    std::optional<TriangleRay> rays_[group_size];
-    Query<false> queries_[group_size];
-    alignas(64) float t_[group_size];
+    ExactGroup& exact_;
 };
 
 void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
@@ -848,8 +971,11 @@ void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> 
         Directions rays;
         rays.set(group, vec3(0));
         Shaft shaft;
-        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count))) {
-            GroupClosest(scene.objects[0], shaft, 0, group).run(out);
+        ExactGroup exact;
+        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count)) &&
+            exact.set(origin, group)) {
+            GroupClosest(scene.objects[0], shaft, exact).run();
+            for (std::size_t i = 0; i < count; ++i) out[i] = exact.hit(int(i));
         } else {
             for (std::size_t i = 0; i < count; ++i)
                 out[i] = trace<false>(scene, {origin, 0, group[i], infinity});

@@ -46,7 +46,7 @@ struct OccluderCache {
         std::uint32_t instance = no_instance;
         std::uint32_t first = 0;  ///< what the tracer knows the place by
     };
-    std::array<Block, 4> blocks;  ///< the latest first
+    std::array<Block, 2> blocks;  ///< the latest first
 };
 
 /// Built geometry; immutable, so any number of threads may trace at once. Triangles that are

@@ -5,8 +5,8 @@
 //
 // We differ in the precision. The decision, t and the barycentrics are computed in double, so that
 // they are right to the last bit or so of a float and do not depend on who calls. In front stand
-// float tests of many triangles or rays at once (worker/ray-inl.h, worker/shaft-inl.h), which decide
-// only where their error bounds say that double would decide the same.
+// float tests of many triangles or rays at once (worker/ray-inl.h, worker/shaft-inl.h), which
+// decide only where their error bounds say that double would decide the same.
 #pragma once
 
 #include <array>
@@ -66,7 +66,7 @@ public:
 private:
     int x_, y_, z_;
     float tmin_, tmax_;
-    glm::dvec3 org_;       ///< permuted
+    glm::dvec3 org_;  ///< permuted
     double sx_, sy_, sz_;
 };
 

@@ -57,7 +57,7 @@ private:
         if (a.small && b.small) merge(content, a, b);
     }
 
-    /// Makes one leaf of two when that saves blocks of items.
+    /// Makes one leaf of two that fit in one.
     void merge(Content& content, const Content& a, const Content& b) {
         const auto list = lists_.begin();
         std::vector<std::uint32_t> both;
@@ -153,11 +153,11 @@ WideTree<width> collapse(const KdTree& tree, const ClippedBounds& clipped, std::
     return Collapse<width>(tree, clipped, leaf_size, leaf_limit, make_leaf).run();
 }
 
-template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
-template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
-template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                               std::uint32_t, const MakeLeaf&);
+template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                              const MakeLeaf&);
+template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                              const MakeLeaf&);
+template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
+                               const MakeLeaf&);
 
 }  // namespace tessera

@@ -14,7 +14,8 @@
 
 namespace tessera {
 
-/// What a child is, in 32 bits so that SIMD can move it: a node, or a run of whatever the leaves hold.
+/// What a child is, in 32 bits so that SIMD can move it: a node, or a run of whatever the leaves
+/// hold.
 class WideLink {
 public:
     static constexpr std::uint32_t max_count = 31;
