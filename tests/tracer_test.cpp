@@ -106,16 +106,6 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
         }
 }
 
-/// The geometry of a whole scene.
-TestScene test_scene(std::string name, const SceneBundle& bundle) {
-    TestScene out{std::move(name), {}, {}};
-    for (const Object& object : bundle.scene.objects)
-        out.meshes.push_back(decode_mesh(*bundle.blobs.find(bundle.scene.meshes[object.mesh])));
-    for (const Instance& instance : bundle.scene.instances)
-        out.instances.push_back({instance.object, instance.world_from_object});
-    return out;
-}
-
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.
 std::vector<vec3> targets_around(RayMaker& maker, Random& random, float extent) {
     std::vector<vec3> targets;
