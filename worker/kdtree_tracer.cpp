@@ -117,10 +117,9 @@ public:
         kernels_.occluded(scene_, rays, blocked);
     }
 
-    void occluded_from(const vec3& origin, std::span<const vec3> targets,
-                       std::span<std::uint8_t> blocked, OccluderCache* cache) const override {
-        CHECK_EQ(targets.size(), blocked.size());
-        kernels_.occluded_from(scene_, origin, targets, blocked, cache);
+    RayMask occluded_from(const vec3& origin, const Targets& targets, const RayMask& wanted,
+                          OccluderCache* cache) const override {
+        return kernels_.occluded_from(scene_, origin, targets, wanted, cache);
     }
 
     void closest_from(const vec3& origin, std::span<const vec3> dirs,

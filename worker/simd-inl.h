@@ -34,6 +34,11 @@ HWY_INLINE Bits bits(Mask mask) {
     return W <= 8 ? bytes[0] : Bits(bytes[0] | bytes[1] << 8);
 }
 
+HWY_INLINE Mask mask_of(Bits set) {
+    const std::uint8_t bytes[8] = {std::uint8_t(set), std::uint8_t(set >> 8)};
+    return hn::LoadMaskBits(lanes_tag, bytes);
+}
+
 /// Calls `f` with the index of each bit that is set, from the lowest.
 template <class F>
 HWY_INLINE void for_each_bit(Bits set, F&& f) {

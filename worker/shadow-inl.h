@@ -1,0 +1,529 @@
+// Shadow rays from one point, a light's, to hundreds of points of a tile.
+//
+// The traversal is that of worker/shaft-inl.h. Where groups are wide against the boxes they go on
+// alone, ray by ray in the lanes, as Wald's packets (2001); where few rays of a group are left
+// those go on as single rays (worker/ray-inl.h). The triangles that blocked the light's rays last
+// come first (Wald, Kollig, Benthin, Keller and Slusallek, "Interactive Global Illumination using
+// Fast Ray Tracing", 2002, cache them for each light).
+#if defined(TESSERA_SHADOW_INL_H) == defined(HWY_TARGET_TOGGLE)
+#ifdef TESSERA_SHADOW_INL_H
+#undef TESSERA_SHADOW_INL_H
+#else
+#define TESSERA_SHADOW_INL_H
+#endif
+
+#include <algorithm>
+#include <optional>
+
+#include "worker/shaft-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace tessera {
+namespace HWY_NAMESPACE {
+
+/// The rays that nothing blocks yet.
+struct Alive {
+    Bits rays[W];     ///< of each group
+    Bits groups = 0;  ///< that have any
+
+    void block(int g, Bits blocked) {
+        rays[g] &= ~blocked;
+        if (!rays[g]) groups &= ~(Bits(1) << g);
+    }
+};
+
+/// W groups of a tile's points, as seen from the light.
+class ShadowRays {
+public:
+    ShadowRays(const vec3& light, const Targets& targets, int first_group)
+        : light_(light), targets_(targets), first_(first_group) {}
+
+    /// Bounds of the groups' directions in the space that `from_world` leads to.
+    Boxes ends(const mat3* from_world) const {
+        Boxes out;
+        for (int k = 0; k < 3; ++k) {
+            out.lo[k] = load(targets_.lo[k] + first_) - splat(light_[k]);
+            out.hi[k] = load(targets_.hi[k] + first_) - splat(light_[k]);
+        }
+        return from_world ? transformed(out, *from_world) : out;
+    }
+
+    vec3 direction(int g, int i, const mat3* from_world) const {
+        const vec3 d = targets_.point(std::size_t((first_ + g) * group_size + i)) - light_;
+        return from_world ? *from_world * d : d;
+    }
+
+    /// The directions of W rays of group g, from ray `k`.
+    HWY_INLINE void directions(int g, int k, const mat3* from_world, Float (&d)[3]) const {
+        const int at = (first_ + g) * group_size + k;
+        for (int i = 0; i < 3; ++i) d[i] = load(targets_.p[i] + at) - splat(light_[i]);
+        if (!from_world) return;
+        // In the order of Affine::vector, for the same bits.
+        const mat3& m = *from_world;
+        const Float x = d[0], y = d[1], z = d[2];
+        for (int i = 0; i < 3; ++i)
+            d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
+    }
+
+private:
+    static HWY_INLINE Boxes transformed(const Boxes& box, const mat3& m) {
+        Boxes out;
+        for (int i = 0; i < 3; ++i) {
+            Float centre = hn::Zero(lanes_tag), half = centre;
+            for (int k = 0; k < 3; ++k) {
+                const Float sum = box.lo[k] + box.hi[k], difference = box.hi[k] - box.lo[k];
+                centre = hn::MulAdd(splat(0.5f * m[k][i]), sum, centre);
+                half = hn::MulAdd(splat(0.5f * std::abs(m[k][i])),
+                                  hn::MulAdd(splat(0x1p-20f), hn::Abs(sum), difference), half);
+            }
+            half = half * splat(1 + 0x1p-19f);
+            out.lo[i] = centre - half;
+            out.hi[i] = centre + half;
+        }
+        return out;
+    }
+
+    const vec3& light_;
+    const Targets& targets_;
+    int first_;
+};
+
+/// One group of a shaft, ray by ray: made when the shaft must look at single rays.
+struct GroupRays {
+    alignas(64) float d[3][group_size];  ///< by scene axis, to where the rays end
+    alignas(64) float u[group_size], v[group_size], z[group_size];
+};
+
+/// The shadow rays of a chunk against one object, in the object's space.
+class ObjectShadows {
+public:
+    ObjectShadows(const SceneObject& object, std::uint32_t instance,
+                  const Affine* object_from_world, const vec3& light, const ShadowRays& rays,
+                  Alive& alive, OccluderCache* cache)
+        : object_(object),
+          instance_(instance),
+          from_world_(object_from_world ? &object_from_world->linear : nullptr),
+          org_(object_from_world ? object_from_world->point(light) : light),
+          rays_(rays),
+          alive_(alive),
+          cache_(cache) {
+        const Box& b = object.tree.bounds;
+        reach_ = std::max(max_component(abs(b.lo - org_)), max_component(abs(b.hi - org_)));
+    }
+
+    void run(Bits groups) {
+        const Boxes ends = rays_.ends(from_world_);
+        for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
+            Bits carried = shaft_.set(org_, ends, left, reach_);
+            if (!carried) carried = shaft_.set(org_, ends, left & (~left + 1), reach_);
+            if (carried) {
+                ask_cache(carried);
+                walk(carried);
+                left &= ~carried;
+            } else {
+                const int g = std::countr_zero(left);
+                trace_singly(g, alive_.rays[g], WideLink::node(0));
+                left &= left - 1;
+            }
+        }
+    }
+
+private:
+    /// A group is wide where its rays are this share of a box's extent apart.
+    static constexpr float wide = 1.0f / 8;
+    /// So narrow a shaft meets a box with all its groups or hardly at all.
+    static constexpr float narrow = 1.0f / 4;
+    /// So few rays are faster one by one.
+    static constexpr int few = 1;
+
+    void ask_cache(Bits groups) {
+        if (!cache_) return;
+        const auto known = cache_->blocks;
+        for (const OccluderCache::Block& b : known)
+            if (b.instance == instance_ && (groups & alive_.groups))
+                test_block(b.first, groups & alive_.groups);
+    }
+
+    void walk(Bits carried) {
+        struct Entry {
+            WideLink link;
+            Bits groups;
+        };
+        Entry stack[wide_stack_size<W>];
+        int top = 0;
+        stack[top++] = {WideLink::node(0), carried};
+        while (top > 0) {
+            const auto [link, of_entry] = stack[--top];
+            const Bits groups = of_entry & alive_.groups;
+            if (!groups) continue;
+            if (link.is_leaf()) {
+                for (std::uint32_t i = 0; i < link.count(); ++i)
+                    test_block(link.first() + i, groups & alive_.groups);
+                continue;
+            }
+            const Node& node = object_.tree.nodes[link.first()];
+            const Boxes boxes = shaft_.children(node);
+            const Bits met = bits(may_meet(boxes, shaft_.chunk()));
+            if (!met) continue;
+            const Float extent = max3(boxes.hi[0] - boxes.lo[0], boxes.hi[1] - boxes.lo[1],
+                                      boxes.hi[2] - boxes.lo[2]);
+            const Bits is_narrow =
+                met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
+            for_each_bit(is_narrow, [&](int i) { stack[top++] = {node.children[i], groups}; });
+            for_each_bit(met & ~is_narrow, [&](int i) HWY_ATTR {
+                const Boxes box = shaft_.child(node, i);
+                const Bits reached = bits(may_meet(box, shaft_.groups())) & groups;
+                if (!reached) return;
+                const Float across =
+                    max3(box.hi[0] - box.lo[0], box.hi[1] - box.lo[1], box.hi[2] - box.lo[2]);
+                const Bits apart =
+                    reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * across);
+                for_each_bit(apart & alive_.groups,
+                             [&](int g) { walk_group(g, node.children[i]); });
+                if (reached & ~apart) stack[top++] = {node.children[i], reached & ~apart};
+            });
+        }
+    }
+
+    /// One group from a node on: its rays in the lanes.
+    HWY_NOINLINE void walk_group(int g, WideLink from) {
+        struct Entry {
+            WideLink link;
+            Bits rays;
+        };
+        const GroupRays& rays = group_rays(g);
+        const GroupBounds bounds = bounds_of(rays, alive_.rays[g]);
+        Entry stack[wide_stack_size<W>];
+        int top = 0;
+        stack[top++] = {from, alive_.rays[g]};
+        while (top > 0) {
+            const auto [link, of_entry] = stack[--top];
+            const Bits left = of_entry & alive_.rays[g];
+            if (std::popcount(left) <= few) {
+                trace_singly(g, left, link);
+                continue;
+            }
+            if (link.is_leaf()) {
+                for (std::uint32_t i = 0; i < link.count(); ++i)
+                    test_block(link.first() + i, g, bounds);
+                continue;
+            }
+            const Node& node = object_.tree.nodes[link.first()];
+            const Bits met = bits(may_meet(shaft_.children(node), bounds.slopes));
+            for_each_bit(met, [&](int i) HWY_ATTR {
+                const Bits reached = left & rays_that_meet(rays, shaft_.child(node, i));
+                if (reached) stack[top++] = {node.children[i], reached};
+            });
+        }
+    }
+
+    HWY_INLINE Bits rays_that_meet(const GroupRays& rays, const Boxes& box) const {
+        const Float margin = splat(shaft_.widening()), longer = splat(1 + 0x1p-20f);
+        Bits reached = 0;
+        for (int k = 0; k < group_size; k += W) {
+            const Float u = load(rays.u + k), v = load(rays.v + k);
+            const Slopes s{u - margin, u + margin, v - margin, v + margin,
+                           load(rays.z + k) * longer};
+            reached |= bits(may_meet(box, s)) << k;
+        }
+        return reached;
+    }
+
+    void trace_singly(int g, Bits rays, WideLink from) {
+        for_each_bit(rays, [&](int i) {
+            Query<true> query(1);
+            const Ray ray = this->ray(g, i);
+            if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
+            query.trace(object_, ray, instance_, from);
+            if (query.found()) alive_.block(g, Bits(1) << i);
+        });
+    }
+
+    /// A block of triangles against groups.
+    HWY_NOINLINE void test_block(std::uint32_t index, Bits groups) {
+        const Block& block = object_.blocks[index];
+        Facets facets;
+        bool useful = false;
+        for (Bits may = may_hit(block, shaft_, shaft_.chunk(), shaft_.chunk_ends(), facets); may;
+             may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            if (block.ids[lane] == Block::no_triangle) break;
+            Bits inside;
+            Bits met = groups_met(facets, lane, inside) & groups & alive_.groups;
+            if (!met) continue;
+            for_each_bit(inside & met, [&](int g) { alive_.block(g, all_rays); });
+            useful |= (inside & met) != 0;
+            met &= ~inside;
+            if (met) useful |= test(block, lane, facets, met);
+        }
+        if (useful) remember(index);
+    }
+
+    struct GroupBounds {
+        Slopes slopes;
+        Boxes ends;
+    };
+
+    /// The same against one group.
+    HWY_NOINLINE void test_block(std::uint32_t index, int g, const GroupBounds& bounds) {
+        const Block& block = object_.blocks[index];
+        Facets facets;
+        bool useful = false;
+        for (Bits may = may_hit(block, shaft_, bounds.slopes, bounds.ends, facets); may;
+             may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            if (block.ids[lane] == Block::no_triangle) break;
+            useful |= test(block, lane, facets, Bits(1) << g);
+        }
+        if (useful) remember(index);
+    }
+
+    /// The groups of which not every ray passes outside one edge; `inside` are those all of whose
+    /// rays surely hit the triangle.
+    HWY_INLINE Bits groups_met(const Facets& f, int lane, Bits& inside) const {
+        const Slopes s = shaft_.groups();
+        Float most = splat(infinity), least = most;
+        for (const auto& n : f.edges) {
+            const float x = n[0][lane], y = n[1][lane];
+            const Float z = splat(n[2][lane]);
+            const bool right = x > 0, up = y > 0;
+            most = hn::Min(most, hn::MulAdd(splat(x), right ? s.u_hi : s.u_lo,
+                                            hn::MulAdd(splat(y), up ? s.v_hi : s.v_lo, z)));
+            least = hn::Min(least, hn::MulAdd(splat(x), right ? s.u_lo : s.u_hi,
+                                              hn::MulAdd(splat(y), up ? s.v_lo : s.v_hi, z)));
+        }
+        const float slack = f.edge_slack[lane];
+        inside = bits(least > splat(slack));
+        if (inside) inside &= groups_beyond(f, lane);
+        return bits(most >= splat(-slack));
+    }
+
+    /// The groups all of whose rays end surely beyond the triangle's plane.
+    HWY_INLINE Bits groups_beyond(const Facets& f, int lane) const {
+        const Boxes ends = shaft_.group_ends();
+        const float bound =
+            f.height[lane] + std::max(0x1p-20f * f.height[lane], f.plane_slack[lane]);
+        Float nearest = hn::Zero(lanes_tag);
+        for (int k = 0; k < 3; ++k) {
+            const float n = f.plane[k][lane];
+            nearest = hn::MulAdd(splat(n), n > 0 ? ends.lo[k] : ends.hi[k], nearest);
+        }
+        return bits(nearest > splat(bound));
+    }
+
+    /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
+    HWY_INLINE bool test(const Block& block, int lane, const Facets& facets, Bits groups) {
+        Float n[3][3];
+        for (int k = 0; k < 3; ++k)
+            for (int i = 0; i < 3; ++i) n[k][i] = splat(facets.edges[k][i][lane]);
+        const Float slack = splat(-facets.edge_slack[lane]);
+        std::optional<Facet> facet;
+        bool any = false;
+        for (; groups; groups &= groups - 1) {
+            const int g = std::countr_zero(groups);
+            const GroupRays& rays = group_rays(g);
+            for (int k = 0; k < group_size; k += W) {
+                const Float u = load(rays.u + k), v = load(rays.v + k);
+                const auto distance = [&](int i) HWY_ATTR {
+                    return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
+                };
+                const Float least = min3(distance(0), distance(1), distance(2));
+                const Bits maybe = bits(least >= slack) & alive_.rays[g] >> k;
+                if (!maybe) continue;
+                if (!facet) facet.emplace(block.lane(lane), shaft_);
+                any |= decide(*facet, block, lane, g, k, maybe);
+            }
+        }
+        return any;
+    }
+
+    /// Blocks those of the rays that hit the triangle.
+    HWY_INLINE bool decide(const Facet& facet, const Block& block, int lane, int g, int k,
+                           Bits maybe) {
+        const GroupRays& rays = group_rays_[g];
+        Bits crossed, maybe_crossed;
+        facet.crossed(rays.d[shaft_.axis(0)] + k, rays.d[shaft_.axis(1)] + k, rays.z + k, crossed,
+                      maybe_crossed);
+        maybe &= maybe_crossed;
+        if (!maybe) return false;
+        Bits inside, maybe_inside;
+        facet.inside(load(rays.u + k), load(rays.v + k), inside, maybe_inside);
+        Bits hit = maybe & inside & crossed;
+        for_each_bit(maybe & maybe_inside & ~hit, [&](int i) {
+            TriangleHit found;
+            if (TriangleRay(ray(g, k + i)).hits(block.lane(lane), found)) hit |= Bits(1) << i;
+        });
+        if (hit) alive_.block(g, hit << k);
+        return hit != 0;
+    }
+
+    void remember(std::uint32_t index) {
+        if (!cache_) return;
+        auto& known = cache_->blocks;
+        if (known[0].instance == instance_ && known[0].first == index) return;
+        const auto same = std::find_if(known.begin(), known.end() - 1, [&](const auto& b) {
+            return b.instance == instance_ && b.first == index;
+        });
+        std::move_backward(known.begin(), same, same + 1);
+        known[0] = {instance_, index};
+    }
+
+    const GroupRays& group_rays(int g) {
+        GroupRays& out = group_rays_[g];
+        if (known_rays_ >> g & 1) return out;
+        known_rays_ |= Bits(1) << g;
+        for (int k = 0; k < group_size; k += W) {
+            Float d[3];
+            rays_.directions(g, k, from_world_, d);
+            for (int i = 0; i < 3; ++i) store(d[i], out.d[i] + k);
+            const Float z = splat(shaft_.sign()) * d[shaft_.axis(2)];
+            const Float inv = splat(1) / z;
+            store(d[shaft_.axis(0)] * inv, out.u + k);
+            store(d[shaft_.axis(1)] * inv, out.v + k);
+            store(z, out.z + k);
+        }
+        return out;
+    }
+
+    GroupBounds bounds_of(const GroupRays& rays, Bits among) const {
+        const auto lo = [&](const float* x) HWY_ATTR {
+            float least = infinity;
+            for (int k = 0; k < group_size; k += W)
+                least = std::min(least, least_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return least;
+        };
+        const auto hi = [&](const float* x) HWY_ATTR {
+            float most = -infinity;
+            for (int k = 0; k < group_size; k += W)
+                most = std::max(most, greatest_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return most;
+        };
+        const float margin = shaft_.widening(), far = hi(rays.z);
+        const float* const x = rays.d[shaft_.axis(0)];
+        const float* const y = rays.d[shaft_.axis(1)];
+        return {{splat(lo(rays.u) - margin), splat(hi(rays.u) + margin), splat(lo(rays.v) - margin),
+                 splat(hi(rays.v) + margin), splat(far * (1 + 0x1p-20f))},
+                {{splat(lo(x)), splat(lo(y)), splat(lo(rays.z))},
+                 {splat(hi(x)), splat(hi(y)), splat(far)}}};
+    }
+
+    Ray ray(int g, int i) const { return {org_, 0, rays_.direction(g, i, from_world_), 1}; }
+
+    const SceneObject& object_;
+    std::uint32_t instance_;
+    const mat3* from_world_;
+    vec3 org_;
+    float reach_;
+    const ShadowRays& rays_;
+    Alive& alive_;
+    OccluderCache* cache_;
+    Shaft shaft_;
+    Bits known_rays_ = 0;
+    GroupRays group_rays_[W];
+};
+
+/// The same for all instances, each in its own space.
+class InstanceShadows {
+public:
+    InstanceShadows(const Scene& scene, const vec3& light, const ShadowRays& rays, Alive& alive,
+                    OccluderCache* cache)
+        : scene_(scene), light_(light), rays_(rays), alive_(alive), cache_(cache) {}
+
+    void run() {
+        const Boxes ends = rays_.ends(nullptr);
+        const Box& b = scene_.top.bounds;
+        const float reach =
+            std::max(max_component(abs(b.lo - light_)), max_component(abs(b.hi - light_)));
+        for (Bits left = alive_.groups; left; left &= alive_.groups) {
+            Bits carried = shaft_.set(light_, ends, left, reach);
+            if (!carried) carried = shaft_.set(light_, ends, left & (~left + 1), reach);
+            if (carried) {
+                walk(carried);
+            } else {
+                carried = left & (~left + 1);
+                trace_singly(std::countr_zero(left));
+            }
+            left &= ~carried;
+        }
+    }
+
+private:
+    void walk(Bits carried) {
+        struct Entry {
+            WideLink link;
+            Bits groups;
+        };
+        Entry stack[wide_stack_size<W>];
+        int top = 0;
+        stack[top++] = {WideLink::node(0), carried};
+        while (top > 0) {
+            const auto [link, of_entry] = stack[--top];
+            const Bits groups = of_entry & alive_.groups;
+            if (!groups) continue;
+            if (link.is_leaf()) {
+                for (const std::uint32_t item :
+                     std::span(&scene_.items[link.first()], link.count()))
+                    trace(scene_.instances[item], groups);
+                continue;
+            }
+            const Node& node = scene_.top.nodes[link.first()];
+            for_each_bit(bits(may_meet(shaft_.children(node), shaft_.chunk())),
+                         [&](int i) HWY_ATTR {
+                             const Bits reached =
+                                 groups & bits(may_meet(shaft_.child(node, i), shaft_.groups()));
+                             if (reached) stack[top++] = {node.children[i], reached};
+                         });
+        }
+    }
+
+    void trace(const WideInstance& instance, Bits groups) {
+        ObjectShadows(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+                      light_, rays_, alive_, cache_)
+            .run(groups);
+    }
+
+    void trace_singly(int g) {
+        for_each_bit(alive_.rays[g], [&](int i) HWY_ATTR {
+            const Ray ray{light_, 0, rays_.direction(g, i, nullptr), 1};
+            if (HWY_NAMESPACE::trace<true>(scene_, ray).valid()) alive_.block(g, Bits(1) << i);
+        });
+    }
+
+    const Scene& scene_;
+    const vec3& light_;
+    const ShadowRays& rays_;
+    Alive& alive_;
+    OccluderCache* cache_;
+    Shaft shaft_;
+};
+
+RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targets,
+                      const RayMask& wanted, OccluderCache* cache) {
+    RayMask blocked{};
+    for (int first = 0; first < Targets::max_groups; first += W) {
+        Alive alive;
+        for (int g = 0; g < W; ++g) {
+            const auto i = std::size_t(first + g);
+            alive.rays[g] = wanted[i] & targets.finite[i];
+            if (alive.rays[g]) alive.groups |= Bits(1) << g;
+        }
+        if (!alive.groups) continue;
+        const ShadowRays rays(light, targets, first);
+        if (scene.single)
+            ObjectShadows(scene.objects[0], 0, nullptr, light, rays, alive, cache)
+                .run(alive.groups);
+        else
+            InstanceShadows(scene, light, rays, alive, cache).run();
+        for (int g = 0; g < W; ++g) {
+            const auto i = std::size_t(first + g);
+            blocked[i] = std::uint16_t(wanted[i] & targets.finite[i] & ~alive.rays[g]);
+        }
+    }
+    return blocked;
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace tessera
+HWY_AFTER_NAMESPACE();
+
+#endif
