@@ -20,6 +20,7 @@ struct Options {
     std::string json;
     bool quick = false;
     bool flatten = false;
+    bool kdtree = false;
     bool long_run = false;
     std::uint64_t rays = 200'000;
 };
@@ -50,10 +51,12 @@ void add_trace(CLI::App& app, Options& options) {
         add_benchmark(app, options, "trace", "Rays a second, ours beside Embree's best");
     add_scenes(command, options);
     command->add_flag("--flatten", options.flatten, "trace all instances as one object");
+    command->add_flag("--kdtree", options.kdtree, "trace kd-trees instead of BVHs");
     command->callback([&options] {
         TraceBenchConfig config;
         if (options.quick) config = {.view = 128, .repetitions = 3, .vpls = 4};
         config.flatten = options.flatten;
+        if (options.kdtree) config.builder = TreeBuilder::kdtree;
         write_json(options.json, bench_trace(options.scenes, config));
     });
 }

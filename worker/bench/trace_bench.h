@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "worker/kdtree_tracer.h"
+
 namespace tessera {
 
 struct TraceBenchConfig {
@@ -14,6 +16,7 @@ struct TraceBenchConfig {
     int repetitions = 7;  ///< of everything; the median counts
     int vpls = 16;
     bool flatten = false;  ///< trace all instances as one object, without a level above
+    TreeBuilder builder = TreeBuilder::bvh;
 };
 
 /// Prints a table as it goes; returns the entries of `results`.
