@@ -3,9 +3,15 @@
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
+#include <array>
+#include <atomic>
+#include <numeric>
+
 #include "common/check.h"
 #include "worker/affine.h"
+#include "worker/bvh.h"
 #include "worker/clip.h"
+#include "worker/kdtree.h"
 #include "worker/kernels.h"
 
 namespace tessera {
@@ -13,44 +19,60 @@ namespace {
 
 // Rays are as fast in trees from 0.5 to 4; the leanest is smallest and soonest built.
 constexpr KdCosts object_costs{.traversal = 1, .intersection = 0.25f};
-// A ray that meets an instance is transformed and walks a tree.
-constexpr KdCosts top_costs{.traversal = 1, .intersection = 20};
 
-std::vector<Triangle> sound_triangles(const TracerObject& object) {
-    std::vector<Triangle> sound;
-    sound.reserve(object.triangles.size());
-    for (std::uint32_t i = 0; i < object.triangles.size(); ++i) {
-        const uvec3& v = object.triangles[i];
-        const Triangle triangle{object.positions[v.x], object.positions[v.y], object.positions[v.z],
-                                i};
-        if (!is_degenerate(triangle)) sound.push_back(triangle);
-    }
-    return sound;
+Triangle triangle_of(const TracerObject& object, std::uint32_t i) {
+    const uvec3& v = object.triangles[i];
+    return {object.positions[v.x], object.positions[v.y], object.positions[v.z], i};
+}
+
+/// Bounds of all triangles that can be hit.
+std::vector<BoxRef> triangle_refs(const TracerObject& object) {
+    constexpr std::uint32_t none = ~0u;
+    std::vector<BoxRef> refs(object.triangles.size());
+    std::atomic<bool> complete = true;
+    tbb::parallel_for(std::uint32_t(0), std::uint32_t(refs.size()), [&](std::uint32_t i) {
+        const Triangle t = triangle_of(object, i);
+        const bool sound = !is_degenerate(t);
+        refs[i] = {min(t.a, min(t.b, t.c)), sound ? i : none, max(t.a, max(t.b, t.c))};
+        if (!sound) complete = false;
+    });
+    if (!complete) std::erase_if(refs, [](const BoxRef& ref) { return ref.item == none; });
+    return refs;
+}
+
+BoxTree kd_boxes(const TracerObject& object, std::uint32_t leaf_size) {
+    const ClippedBounds clipped = [&](std::uint32_t i, const Box& cell) {
+        const Triangle triangle = triangle_of(object, i);
+        return is_degenerate(triangle) ? Box{} : clipped_bounds(triangle, cell);
+    };
+    const auto count = std::uint32_t(object.triangles.size());
+    return boxes_of(build_kdtree(count, clipped, object_costs), clipped, leaf_size);
 }
 
 template <int width>
-WideObject<width> build_object(const TracerObject& object) {
-    const std::vector<Triangle> triangles = sound_triangles(object);
-    const ClippedBounds clipped = [&](std::uint32_t i, const Box& cell) {
-        return clipped_bounds(triangles[i], cell);
-    };
-    const KdTree tree = build_kdtree(std::uint32_t(triangles.size()), clipped, object_costs);
+WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) {
+    const BoxTree tree = builder == TreeBuilder::bvh ? build_bvh(triangle_refs(object), width)
+                                                     : kd_boxes(object, width);
     WideObject<width> out;
-    std::vector<Triangle> list;
-    const std::uint32_t limit = WideLink::max_count * width;
-    out.tree =
-        collapse<width>(tree, clipped, width, limit, [&](std::span<const std::uint32_t> items) {
-            const auto leaf = WideLink::leaf(std::uint32_t(out.blocks.size()),
-                                             std::uint32_t(items.size() + width - 1) / width);
-            list.clear();
-            for (const std::uint32_t item : items) list.push_back(triangles[item]);
-            for (std::size_t i = 0; i < list.size(); i += width)
-                out.blocks.push_back(TriangleBlock<width>::of(std::span(list).subspan(i).first(
-                    std::min<std::size_t>(width, list.size() - i))));
-            return leaf;
-        });
-    CHECK(out.blocks.size() <= WideLink::max_first);
-    out.blocks.shrink_to_fit();
+    constexpr std::uint32_t none = ~0u;
+    std::vector<std::uint32_t> lanes;  // of all blocks
+    out.tree = collapse<width>(tree, {.node = 1, .block = 1, .block_size = width},
+                               [&](std::span<const std::uint32_t> items) {
+                                   const auto first = std::uint32_t(lanes.size() / width);
+                                   lanes.insert(lanes.end(), items.begin(), items.end());
+                                   lanes.resize((lanes.size() + width - 1) / width * width, none);
+                                   return WideLink::leaf(
+                                       first, std::uint32_t(lanes.size() / width) - first);
+                               });
+    CHECK(lanes.size() / width <= WideLink::max_first);
+    out.blocks.resize(lanes.size() / width);
+    tbb::parallel_for(std::size_t(0), out.blocks.size(), [&](std::size_t block) {
+        std::array<Triangle, width> triangles;
+        std::size_t count = 0;
+        for (; count < width && lanes[block * width + count] != none; ++count)
+            triangles[count] = triangle_of(object, lanes[block * width + count]);
+        out.blocks[block] = TriangleBlock<width>::of(std::span(triangles).first(count));
+    });
     return out;
 }
 
@@ -64,27 +86,49 @@ Box instance_bounds(const Box& object_bounds, const mat4& world_from_object) {
     return {box.lo - margin, box.hi + margin};
 }
 
+BoxRef finite(const Box& box, std::uint32_t item) {
+    const vec3 most(std::numeric_limits<float>::max());
+    return {clamp(box.lo, -most, most), item, clamp(box.hi, -most, most)};
+}
+
+/// Over boxes that are worth a lane each.
+template <int width>
+WideTree<width> top_tree(const std::vector<BoxRef>& refs) {
+    std::vector<WideNode<width>> lowest;  // their lanes are the items
+    const WideCosts costs{.node = 1, .block = 1, .block_size = width, .max_blocks = 1};
+    const auto make_leaf = [&](std::span<const std::uint32_t> items) {
+        WideNode<width> node;
+        for (int i = 0; i < int(items.size()); ++i) {
+            const BoxRef& ref = refs[items[i]];
+            node.set_child(i, {ref.lo, ref.hi}, WideLink::leaf(ref.item, 1));
+        }
+        lowest.push_back(node);
+        return WideLink::leaf(std::uint32_t(lowest.size()) - 1, 1);
+    };
+    WideTree<width> tree = collapse<width>(build_bvh(refs, width), costs, make_leaf);
+    const auto offset = std::uint32_t(tree.nodes.size());
+    for (WideNode<width>& node : tree.nodes)
+        for (WideLink& link : node.children)
+            if (link.is_leaf()) link = WideLink::node(offset + link.first());
+    tree.nodes.insert(tree.nodes.end(), lowest.begin(), lowest.end());
+    return tree;
+}
+
 template <int width>
 void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances) {
-    std::vector<Box> boxes;
+    std::vector<BoxRef> refs;
     for (std::uint32_t i = 0; i < instances.size(); ++i) {
         const auto inverse = inverse_affine(instances[i].world_from_object);
         if (!inverse) continue;
         const Box& object_bounds = scene.objects[instances[i].object].tree.bounds;
-        boxes.push_back(instance_bounds(object_bounds, instances[i].world_from_object));
+        const Box box = instance_bounds(object_bounds, instances[i].world_from_object);
+        if (box.empty()) continue;
+        refs.push_back(finite(box, std::uint32_t(scene.instances.size())));
         scene.instances.push_back({instances[i].object, i, *inverse});
     }
-    const ClippedBounds clipped = [&](std::uint32_t i, const Box& cell) {
-        return Box{max(boxes[i].lo, cell.lo), min(boxes[i].hi, cell.hi)};
-    };
-    const KdTree tree = build_kdtree(std::uint32_t(boxes.size()), clipped, top_costs);
-    const std::uint32_t limit = WideLink::max_count;
-    scene.top = collapse<width>(tree, clipped, 1, limit, [&](std::span<const std::uint32_t> items) {
-        const auto leaf =
-            WideLink::leaf(std::uint32_t(scene.items.size()), std::uint32_t(items.size()));
-        scene.items.insert(scene.items.end(), items.begin(), items.end());
-        return leaf;
-    });
+    scene.top = top_tree<width>(refs);
+    scene.items.resize(refs.size());
+    std::iota(scene.items.begin(), scene.items.end(), 0u);
 }
 
 template <class T>
@@ -96,13 +140,13 @@ template <int width>
 class KdTreeTracer final : public Tracer {
 public:
     KdTreeTracer(std::span<const TracerObject> objects, std::span<const TracerInstance> instances,
-                 Isa isa)
+                 TreeBuilder builder, Isa isa)
         : kernels_(kernels<width>(isa)) {
         scene_.single = instances.size() == 1 && instances[0].world_from_object == mat4(1);
         if (scene_.single) objects = objects.subspan(instances[0].object, 1);
         scene_.objects.resize(objects.size());
         tbb::parallel_for(std::size_t(0), objects.size(), [&](std::size_t i) {
-            scene_.objects[i] = build_object<width>(objects[i]);
+            scene_.objects[i] = build_object<width>(objects[i], builder);
         });
         if (!scene_.single) build_top(scene_, instances);
     }
@@ -146,17 +190,17 @@ private:
 }  // namespace
 
 std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> objects,
-                                            std::span<const TracerInstance> instances,
-                                            int threads) {
+                                            std::span<const TracerInstance> instances, int threads,
+                                            TreeBuilder builder) {
     const Isa isa = chosen_isa();
     return tbb::task_arena(threads).execute([&]() -> std::unique_ptr<Tracer> {
         switch (width_of(isa)) {
             case 4:
-                return std::make_unique<KdTreeTracer<4>>(objects, instances, isa);
+                return std::make_unique<KdTreeTracer<4>>(objects, instances, builder, isa);
             case 8:
-                return std::make_unique<KdTreeTracer<8>>(objects, instances, isa);
+                return std::make_unique<KdTreeTracer<8>>(objects, instances, builder, isa);
             default:
-                return std::make_unique<KdTreeTracer<16>>(objects, instances, isa);
+                return std::make_unique<KdTreeTracer<16>>(objects, instances, builder, isa);
         }
     });
 }

@@ -7,7 +7,14 @@
 
 namespace tessera {
 
+/// What makes the objects' trees.
+enum class TreeBuilder : std::uint8_t {
+    bvh,     ///< worker/bvh.h
+    kdtree,  ///< worker/kdtree.h: slow to build, and often there twice, but it splits space
+};
+
 std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> objects,
-                                            std::span<const TracerInstance> instances, int threads);
+                                            std::span<const TracerInstance> instances, int threads,
+                                            TreeBuilder builder = TreeBuilder::bvh);
 
 }  // namespace tessera

@@ -99,7 +99,7 @@ public:
     TraceBench(const std::string& scene, const TraceBenchConfig& config)
         : config_(config),
           scene_(load(scene, config)),
-          ours_(scene_.build_ours(1)),
+          ours_(scene_.build_ours(1, config.builder)),
           embree_(scene_.build_embree(1)),
           caches_(std::size_t(config.vpls)) {
         const Box bounds = ours_->bounds();

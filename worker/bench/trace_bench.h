@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "worker/kdtree_tracer.h"
+
 namespace tessera {
 
 /// Names of the kinds of rays that there are.
@@ -18,6 +20,7 @@ struct TraceBenchConfig {
     int vpls = 16;
     std::vector<std::string> kinds = ray_kind_names();
     bool flatten = false;  ///< trace all instances as one object, without a level above
+    TreeBuilder builder = TreeBuilder::bvh;
 };
 
 /// Prints a table as it goes; returns the entries of `results`.

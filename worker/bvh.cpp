@@ -1,0 +1,324 @@
+#include "worker/bvh.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_invoke.h>
+#include <tbb/parallel_reduce.h>
+
+#include <array>
+#include <atomic>
+#include <bit>
+#include <cstring>
+#include <memory>
+#include <mutex>
+
+#include "common/check.h"
+
+namespace tessera {
+namespace {
+
+// Vectors as GCC and Clang have them: the builder needs no more than four lanes of any machine.
+using Float4 = float __attribute__((vector_size(16)));
+using Int4 = std::int32_t __attribute__((vector_size(16)));
+
+Float4 min(Float4 a, Float4 b) { return a < b ? a : b; }
+Float4 max(Float4 a, Float4 b) { return a > b ? a : b; }
+Float4 splat(float x) { return Float4{x, x, x, x}; }
+
+/// A box in registers; what the fourth lanes hold does not matter.
+struct Box4 {
+    Float4 lo = splat(infinity);
+    Float4 hi = splat(-infinity);
+
+    void add(const Box4& b) {
+        lo = min(lo, b.lo);
+        hi = max(hi, b.hi);
+    }
+    void add(Float4 p) {
+        lo = min(lo, p);
+        hi = max(hi, p);
+    }
+    /// Half of it.
+    float area() const {
+        const Float4 e = hi - lo;
+        return e[0] * (e[1] + e[2]) + e[1] * e[2];
+    }
+    Box box() const { return {{lo[0], lo[1], lo[2]}, {hi[0], hi[1], hi[2]}}; }
+};
+
+Float4 load(const float* p) {
+    Float4 v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+}
+Box4 load(const BoxRef& ref) { return {load(&ref.lo.x), load(&ref.hi.x)}; }
+Float4 centre(const Box4& b) {
+    return splat(0.5f) * b.lo + splat(0.5f) * b.hi;  // each halved, lest the sum overflows
+}
+
+/// A run of refs on its way to become a node.
+struct Range {
+    std::size_t begin = 0, end = 0;
+    Box4 box, centres;
+
+    std::size_t size() const { return end - begin; }
+    void add(const Box4& b) {
+        box.add(b);
+        centres.add(centre(b));
+    }
+    void add(const Range& other) {
+        box.add(other.box);
+        centres.add(other.centres);
+    }
+};
+
+constexpr int max_bins = 32;
+
+/// Maps centres to bins, equally wide between the outermost centres.
+class Bins {
+public:
+    Bins(const Range& range, int count) : count_(count), lo_(range.centres.lo) {
+        constexpr float largest = std::numeric_limits<float>::max();
+        const Float4 extent = range.centres.hi - lo_;
+        for (int k = 0; k < 3; ++k) {
+            // A little less than `count`, so that rounding leads to none beyond the last.
+            const float scale = 0.9999f * float(count) / extent[k];
+            if (extent[k] > 0 && scale <= largest) scale_[k] = scale;
+            finite_ = finite_ && extent[k] <= largest;
+        }
+    }
+
+    int count() const { return count_; }
+    /// Else nothing is.
+    bool finite() const { return finite_; }
+    bool usable(int axis) const { return scale_[axis] > 0; }
+    /// The bin on each axis; 0 where it is not usable for being too narrow.
+    Int4 of(const Box4& box) const {
+        return __builtin_convertvector((centre(box) - lo_) * scale_, Int4);
+    }
+
+private:
+    int count_;
+    Float4 lo_;
+    Float4 scale_ = splat(0);
+    bool finite_ = true;
+};
+
+struct Histogram {
+    Box4 boxes[3][max_bins];
+    std::uint32_t counts[3][max_bins] = {};
+
+    void add(const Bins& bins, const BoxRef& ref) {
+        const Box4 box = load(ref);
+        const Int4 bin = bins.of(box);
+        for (int k = 0; k < 3; ++k) {
+            boxes[k][bin[k]].add(box);
+            ++counts[k][bin[k]];
+        }
+    }
+    void add(const Histogram& other) {
+        for (int k = 0; k < 3; ++k)
+            for (int i = 0; i < max_bins; ++i) {
+                boxes[k][i].add(other.boxes[k][i]);
+                counts[k][i] += other.counts[k][i];
+            }
+    }
+};
+
+struct Split {
+    int axis = -1;
+    int bin = 0;  ///< the first above
+    float cost = infinity;
+};
+
+class Builder {
+public:
+    Builder(std::vector<BoxRef> refs, std::uint32_t leaf_size)
+        : refs_(std::move(refs)),
+          leaf_size_(leaf_size),
+          nodes_(std::make_unique_for_overwrite<BoxNode[]>(2 * refs_.size() + 1)) {}
+
+    BoxTree run() {
+        nodes_[0] = {};
+        if (!refs_.empty()) build(0, bounds(0, refs_.size()), 0);
+        BoxTree tree;
+        tree.nodes.assign(nodes_.get(), nodes_.get() + next_node_);
+        tree.items.resize(refs_.size());
+        for_chunks(0, refs_.size(), [&](std::size_t begin, std::size_t end) {
+            for (std::size_t i = begin; i < end; ++i) tree.items[i] = refs_[i].item;
+        });
+        return tree;
+    }
+
+private:
+    // Where tasks are worth their while. Decides who builds; what is built is the same either way.
+    static constexpr std::size_t task_refs = 1024;
+    static constexpr std::size_t chunk_refs = 1 << 14;
+    // Below come at most 28 levels of halves.
+    static constexpr int deep_enough = 64;
+
+    void build(std::uint32_t slot, const Range& range, int depth) {
+        BoxNode& node = nodes_[slot];
+        node = {range.box.box(), 0, std::uint32_t(range.begin), std::uint32_t(range.size())};
+        if (range.size() <= leaf_size_) return;
+        node.children = next_node_.fetch_add(2);
+        const auto parts = divide(range, depth);
+        const auto child = [&](std::uint32_t i) { build(node.children + i, parts[i], depth + 1); };
+        if (range.size() > task_refs)
+            tbb::parallel_invoke([&] { child(0); }, [&] { child(1); });
+        else
+            child(0), child(1);
+    }
+
+    std::array<Range, 2> divide(const Range& range, int depth) {
+        const Bins bins(range, range.size() < 1024 ? 16 : max_bins);
+        const Split split =
+            depth < deep_enough && bins.finite() ? best_split(bins, range) : Split{};
+        return split.axis >= 0 ? partition(range, bins, split) : halve(range);
+    }
+
+    Split best_split(const Bins& bins, const Range& range) const {
+        const Histogram histogram = reduce<Histogram>(
+            range.begin, range.end, [&](Histogram& h, const BoxRef& ref) { h.add(bins, ref); });
+        Split best;
+        for (int axis = 0; axis < 3; ++axis)
+            if (bins.usable(axis)) weigh(histogram, bins.count(), axis, best);
+        return best;
+    }
+
+    /// Takes the axis' cheapest split into `best` if it is cheaper.
+    void weigh(const Histogram& histogram, int bins, int axis, Split& best) const {
+        float above_cost[max_bins];
+        Box4 box;
+        std::uint32_t count = 0;
+        for (int i = bins - 1; i > 0; --i) {
+            box.add(histogram.boxes[axis][i]);
+            count += histogram.counts[axis][i];
+            above_cost[i] = count > 0 ? box.area() * float(blocks(count)) : infinity;
+        }
+        box = {};
+        count = 0;
+        for (int i = 1; i < bins; ++i) {
+            box.add(histogram.boxes[axis][i - 1]);
+            count += histogram.counts[axis][i - 1];
+            if (count == 0) continue;
+            const float cost = box.area() * float(blocks(count)) + above_cost[i];
+            if (cost < best.cost) best = {axis, i, cost};
+        }
+    }
+
+    std::uint32_t blocks(std::uint32_t items) const {
+        return (items + leaf_size_ - 1) >> std::countr_zero(leaf_size_);
+    }
+
+    std::array<Range, 2> partition(const Range& range, const Bins& bins, const Split& split) {
+        const auto is_below = [&](const BoxRef& ref) {
+            return bins.of(load(ref))[split.axis] < split.bin;
+        };
+        if (range.size() > 2 * chunk_refs) return partition_chunks(range, is_below);
+        Range below, above;
+        std::size_t i = range.begin, end = range.end;
+        while (i < end) {
+            const BoxRef ref = refs_[i];
+            if (is_below(ref)) {
+                below.add(load(ref));
+                ++i;
+            } else {
+                above.add(load(ref));
+                refs_[i] = std::exchange(refs_[--end], ref);
+            }
+        }
+        below.begin = range.begin;
+        below.end = above.begin = i;
+        above.end = range.end;
+        return {below, above};
+    }
+
+    /// In parallel: each chunk counts, and then moves its refs to where they go.
+    template <class IsBelow>
+    std::array<Range, 2> partition_chunks(const Range& range, IsBelow&& is_below) {
+        const std::size_t chunks = (range.size() + chunk_refs - 1) / chunk_refs;
+        std::vector<std::size_t> places(chunks);
+        const auto chunk_of = [&](std::size_t begin) { return (begin - range.begin) / chunk_refs; };
+        for_chunks(range.begin, range.end, [&](std::size_t begin, std::size_t end) {
+            places[chunk_of(begin)] =
+                std::size_t(std::count_if(refs_.begin() + begin, refs_.begin() + end, is_below));
+        });
+        std::size_t place = range.begin;
+        for (std::size_t& p : places) p = std::exchange(place, place + p);
+        std::call_once(scratch_made_, [&] { scratch_.resize(refs_.size()); });
+        for_chunks(range.begin, range.end, [&](std::size_t begin, std::size_t end) {
+            // Of the refs before this chunk those that do not lie below lie above.
+            std::size_t to_below = places[chunk_of(begin)];
+            std::size_t to_above = place + (begin - range.begin) - (to_below - range.begin);
+            for (std::size_t i = begin; i < end; ++i)
+                scratch_[is_below(refs_[i]) ? to_below++ : to_above++] = refs_[i];
+        });
+        for_chunks(range.begin, range.end, [&](std::size_t begin, std::size_t end) {
+            std::copy(scratch_.begin() + begin, scratch_.begin() + end, refs_.begin() + begin);
+        });
+        return {bounds(range.begin, place), bounds(place, range.end)};
+    }
+
+    /// The first half of the refs and the rest, wherever they lie.
+    std::array<Range, 2> halve(const Range& range) const {
+        const std::size_t middle = range.begin + range.size() / 2;
+        return {bounds(range.begin, middle), bounds(middle, range.end)};
+    }
+
+    Range bounds(std::size_t begin, std::size_t end) const {
+        Range range =
+            reduce<Range>(begin, end, [](Range& sum, const BoxRef& ref) { sum.add(load(ref)); });
+        range.begin = begin;
+        range.end = end;
+        return range;
+    }
+
+    /// The sum of all refs that `add` makes.
+    template <class Sum, class Add>
+    Sum reduce(std::size_t begin, std::size_t end, Add&& add) const {
+        const auto add_all = [&](std::size_t i, std::size_t last, Sum& sum) {
+            for (; i < last; ++i) add(sum, refs_[i]);
+        };
+        Sum sum;
+        if (end - begin <= chunk_refs) {
+            add_all(begin, end, sum);
+            return sum;
+        }
+        return tbb::parallel_deterministic_reduce(
+            tbb::blocked_range(begin, end, chunk_refs), sum,
+            [&](const auto& part, Sum partial) {
+                add_all(part.begin(), part.end(), partial);
+                return partial;
+            },
+            [](Sum a, const Sum& b) {
+                a.add(b);
+                return a;
+            });
+    }
+
+    template <class F>
+    static void for_chunks(std::size_t begin, std::size_t end, F&& f) {
+        const std::size_t chunks = (end - begin + chunk_refs - 1) / chunk_refs;
+        tbb::parallel_for(std::size_t(0), chunks, [&](std::size_t i) {
+            const std::size_t from = begin + i * chunk_refs;
+            f(from, std::min(end, from + chunk_refs));
+        });
+    }
+
+    std::vector<BoxRef> refs_;
+    std::vector<BoxRef> scratch_;
+    std::once_flag scratch_made_;
+    std::uint32_t leaf_size_;
+    std::unique_ptr<BoxNode[]> nodes_;
+    std::atomic<std::uint32_t> next_node_ = 1;
+};
+
+}  // namespace
+
+BoxTree build_bvh(std::vector<BoxRef> refs, std::uint32_t leaf_size) {
+    CHECK(std::has_single_bit(leaf_size));
+    CHECK(refs.size() < 1u << 30);
+    return Builder(std::move(refs), leaf_size).run();
+}
+
+}  // namespace tessera
