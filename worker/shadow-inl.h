@@ -30,6 +30,10 @@ struct Alive {
         rays[g] &= ~blocked;
         if (!rays[g]) groups &= ~(Bits(1) << g);
     }
+    void block_groups(Bits blocked) {
+        for_each_bit(blocked, [&](int g) { rays[g] = 0; });
+        groups &= ~blocked;
+    }
 };
 
 /// W groups of a tile's points, as seen from the light.
@@ -174,13 +178,15 @@ private:
                 const Boxes box = shaft_.child(node, i);
                 const Bits reached = bits(may_meet(box, shaft_.groups())) & groups;
                 if (!reached) return;
-                const Float across =
-                    max3(box.hi[0] - box.lo[0], box.hi[1] - box.lo[1], box.hi[2] - box.lo[2]);
-                const Bits apart =
-                    reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * across);
-                for_each_bit(apart & alive_.groups,
-                             [&](int g) { walk_group(g, node.children[i]); });
-                if (reached & ~apart) stack[top++] = {node.children[i], reached & ~apart};
+                const WideLink child = node.children[i];
+                Bits apart = 0;
+                if (!child.is_leaf()) {
+                    const Float across =
+                        max3(box.hi[0] - box.lo[0], box.hi[1] - box.lo[1], box.hi[2] - box.lo[2]);
+                    apart = reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * across);
+                }
+                for_each_bit(apart & alive_.groups, [&](int g) { walk_group(g, child); });
+                if (reached & ~apart) stack[top++] = {child, reached & ~apart};
             });
         }
     }
@@ -248,13 +254,12 @@ private:
              may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
-            Bits inside;
-            Bits met = groups_met(facets, lane, inside) & groups & alive_.groups;
-            if (!met) continue;
-            for_each_bit(inside & met, [&](int g) { alive_.block(g, all_rays); });
-            useful |= (inside & met) != 0;
-            met &= ~inside;
-            if (met) useful |= test(block, lane, facets, met);
+            const Met met = groups_met(facets, lane);
+            const Bits blocked = met.surely & groups & alive_.groups;
+            alive_.block_groups(blocked);
+            useful |= blocked != 0;
+            const Bits open = met.maybe & groups & alive_.groups;
+            if (open) useful |= test(block, lane, facets, open);
         }
         if (useful) remember(index);
     }
@@ -278,37 +283,39 @@ private:
         if (useful) remember(index);
     }
 
-    /// The groups of which not every ray passes outside one edge; `inside` are those all of whose
-    /// rays surely hit the triangle.
-    HWY_INLINE Bits groups_met(const Facets& f, int lane, Bits& inside) const {
-        const Slopes s = shaft_.groups();
+    struct Met {
+        Bits maybe;   ///< groups of which not every ray passes outside one edge or ends too soon
+        Bits surely;  ///< groups all of whose rays hit
+    };
+    HWY_INLINE Met groups_met(const Facets& f, int lane) const {
         Float most = splat(infinity), least = most;
         for (const auto& n : f.edges) {
             const float x = n[0][lane], y = n[1][lane];
+            const int right = x > 0, up = y > 0;
             const Float z = splat(n[2][lane]);
-            const bool right = x > 0, up = y > 0;
-            most = hn::Min(most, hn::MulAdd(splat(x), right ? s.u_hi : s.u_lo,
-                                            hn::MulAdd(splat(y), up ? s.v_hi : s.v_lo, z)));
-            least = hn::Min(least, hn::MulAdd(splat(x), right ? s.u_lo : s.u_hi,
-                                              hn::MulAdd(splat(y), up ? s.v_lo : s.v_hi, z)));
+            const auto at = [&](int u, int v) HWY_ATTR {
+                return hn::MulAdd(splat(x), load(shaft_.slopes(0, u)),
+                                  hn::MulAdd(splat(y), load(shaft_.slopes(1, v)), z));
+            };
+            most = hn::Min(most, at(right, up));
+            least = hn::Min(least, at(1 - right, 1 - up));
         }
-        const float slack = f.edge_slack[lane];
-        inside = bits(least > splat(slack));
-        if (inside) inside &= groups_beyond(f, lane);
-        return bits(most >= splat(-slack));
-    }
-
-    /// The groups all of whose rays end surely beyond the triangle's plane.
-    HWY_INLINE Bits groups_beyond(const Facets& f, int lane) const {
-        const Boxes ends = shaft_.group_ends();
-        const float bound =
-            f.height[lane] + std::max(0x1p-20f * f.height[lane], f.plane_slack[lane]);
-        Float nearest = hn::Zero(lanes_tag);
+        Mask overlap = hn::FirstN(lanes_tag, W);
+        for (int k = 0; k < 2; ++k) {
+            overlap = hn::And(overlap, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
+            overlap = hn::And(overlap, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
+        }
+        Float farthest = hn::Zero(lanes_tag), nearest = farthest;
         for (int k = 0; k < 3; ++k) {
             const float n = f.plane[k][lane];
-            nearest = hn::MulAdd(splat(n), n > 0 ? ends.lo[k] : ends.hi[k], nearest);
+            const int away = n > 0;
+            farthest = hn::MulAdd(splat(n), load(shaft_.group_ends(k, away)), farthest);
+            nearest = hn::MulAdd(splat(n), load(shaft_.group_ends(k, 1 - away)), nearest);
         }
-        return bits(nearest > splat(bound));
+        const float slack = f.edge_slack[lane];
+        const Mask crosses = hn::And(most >= splat(-slack), farthest >= splat(f.before[lane]));
+        return {bits(hn::And(overlap, crosses)),
+                bits(hn::And(least > splat(slack), nearest > splat(f.beyond[lane])))};
     }
 
     /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
@@ -316,7 +323,10 @@ private:
         Float n[3][3];
         for (int k = 0; k < 3; ++k)
             for (int i = 0; i < 3; ++i) n[k][i] = splat(facets.edges[k][i][lane]);
-        const Float slack = splat(-facets.edge_slack[lane]);
+        const Float slack = splat(facets.edge_slack[lane]);
+        const Float beyond = splat(facets.beyond[lane]), before = splat(facets.before[lane]);
+        const Float plane[3] = {splat(facets.plane[0][lane]), splat(facets.plane[1][lane]),
+                                splat(facets.plane[2][lane])};
         std::optional<Facet> facet;
         bool any = false;
         for (; groups; groups &= groups - 1) {
@@ -328,10 +338,18 @@ private:
                     return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
                 };
                 const Float least = min3(distance(0), distance(1), distance(2));
-                const Bits maybe = bits(least >= slack) & alive_.rays[g] >> k;
+                const Float along =
+                    hn::MulAdd(plane[0], load(rays.d[shaft_.axis(0)] + k),
+                               hn::MulAdd(plane[1], load(rays.d[shaft_.axis(1)] + k),
+                                          plane[2] * load(rays.z + k)));
+                const Bits maybe =
+                    bits(hn::And(least >= hn::Neg(slack), along >= before)) & alive_.rays[g] >> k;
                 if (!maybe) continue;
+                const Bits hit = maybe & bits(hn::And(least > slack, along > beyond));
+                if (hit) alive_.block(g, hit << k), any = true;
+                if (hit == maybe) continue;
                 if (!facet) facet.emplace(block.lane(lane), shaft_);
-                any |= decide(*facet, block, lane, g, k, maybe);
+                any |= decide(*facet, block, lane, g, k, maybe & ~hit);
             }
         }
         return any;

@@ -87,18 +87,18 @@ public:
         return {load(groups_[0]), load(groups_[1]), load(groups_[2]), load(groups_[3]),
                 load(groups_[4])};
     }
+    /// The groups' least and greatest slopes, u or v; and bounds of where their rays end.
+    const float* slopes(int k, int hi) const { return groups_[2 * k + hi]; }
+    const float* group_ends(int k, int hi) const { return group_ends_[k][hi]; }
     /// How far the groups' rays stand apart at z = 1.
     Float spreads() const { return load(spread_); }
 
-    /// Bounds of where the rays end: of all, and of the groups in their lanes.
+    /// Bounds of where all rays end.
     Boxes chunk_ends() const {
         return permuted([&](int k) { return splat(ends_lo_[k]); },
                         [&](int k) { return splat(ends_hi_[k]); });
     }
-    Boxes group_ends() const {
-        return permuted([&](int k) { return load(group_lo_[k]); },
-                        [&](int k) { return load(group_hi_[k]); });
-    }
+
     /// The boxes of a node's children in the lanes, or of child `i` in all lanes.
     Boxes children(const Node& node) const {
         return permuted([&](int k) { return load(node.bounds[k][0]) - splat(org_[k]); },
@@ -128,8 +128,7 @@ private:
     float reach_;
     float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
     float chunk_[5], chunk_spread_;
-    alignas(64) float group_lo_[3][W];
-    alignas(64) float group_hi_[3][W];
+    alignas(64) float group_ends_[3][2][W];
     alignas(64) float groups_[5][W];
     alignas(64) float spread_[W];
 };
@@ -152,7 +151,9 @@ inline Bits Shaft::choose_axis(const Boxes& ends, Bits wanted) {
     }
     axes_[0] = (axes_[2] + 1) % 3;
     axes_[1] = (axes_[2] + 2) % 3;
-    const Boxes e = group_ends();
+    const Boxes e = permuted([&](int k) { return ends.lo[k]; }, [&](int k) { return ends.hi[k]; });
+    for (int k = 0; k < 3; ++k)
+        store(e.lo[k], group_ends_[k][0]), store(e.hi[k], group_ends_[k][1]);
     const Float aside = hn::Max(hn::Max(hn::Abs(e.lo[0]), hn::Abs(e.hi[0])),
                                 hn::Max(hn::Abs(e.lo[1]), hn::Abs(e.hi[1])));
     // What is not a number is not sound.
@@ -165,14 +166,16 @@ inline Bits Shaft::set(const vec3& org, const Boxes& ends, Bits wanted, float re
     if (!(reach < 0x1p40f)) return 0;
     org_ = org;
     reach_ = reach;
-    for (int k = 0; k < 3; ++k) store(ends.lo[k], group_lo_[k]), store(ends.hi[k], group_hi_[k]);
+
     const Bits carried = choose_axis(ends, wanted);
     if (carried) bound_slopes(carried);
     return carried;
 }
 
 inline void Shaft::bound_slopes(Bits carried) {
-    const Boxes e = group_ends();
+    Boxes e;
+    for (int k = 0; k < 3; ++k)
+        e.lo[k] = load(group_ends_[k][0]), e.hi[k] = load(group_ends_[k][1]);
     const Float inv_near = splat(1) / e.lo[2], inv_far = splat(1) / e.hi[2];
     const Float u_lo = hn::Min(e.lo[0] * inv_near, e.lo[0] * inv_far);
     const Float u_hi = hn::Max(e.hi[0] * inv_near, e.hi[0] * inv_far);
@@ -202,14 +205,14 @@ inline void Shaft::bound_slopes(Bits carried) {
 }
 
 /// Of a block's triangles, as the origin sees them: the planes through the origin and each edge,
-/// whose normals point to where rays pass inside, the triangles' own planes n . p = height, and by
-/// how much distances from them may be wrong.
+/// whose normals point to where rays pass inside, and the triangles' own planes.
 struct Facets {
-    alignas(64) float edges[3][3][W];  ///< [edge][axis]
-    alignas(64) float edge_slack[W];   ///< infinite where the origin lies in the plane
-    alignas(64) float plane[3][W];     ///< the normal, away from the origin
-    alignas(64) float height[W];       ///< of the plane over the origin
-    alignas(64) float plane_slack[W];
+    alignas(64) float edges[3][3][W];   ///< [edge][axis]
+    alignas(64) float slopes[2][2][W];  ///< [u, v][lo, hi] of the corners
+    alignas(64) float edge_slack[W];    ///< infinite where the origin lies in the plane
+    alignas(64) float plane[3][W];      ///< the normal, away from the origin
+    alignas(64) float before[W];  ///< with less than this a point surely lies on the origin's side
+    alignas(64) float beyond[W];  ///< with more than this surely on the other
 };
 
 /// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
@@ -238,9 +241,9 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
     const Float inside = hn::Min(deepest(p[0], s.u_lo), deepest(p[1], s.v_lo));
     const Float outside = hn::Max(shallowest(p[0], s.u_hi), shallowest(p[1], s.v_hi));
     const Float front = max3(p[2][0], p[2][1], p[2][2]);
-    const Float back = min3(p[2][0], p[2][1], p[2][2]) - s.far;
-    const Bits met =
-        bits(hn::And(hn::Min(inside, front) >= hn::Neg(slack), hn::Max(outside, back) <= slack));
+    const Float back = min3(p[2][0], p[2][1], p[2][2]);
+    const Bits met = bits(
+        hn::And(hn::Min(inside, front) >= hn::Neg(slack), hn::Max(outside, back - s.far) <= slack));
     if (!met) return 0;
 
     // The plane's normal, and the distances of the origin and of the ends from the plane. Ends and
@@ -274,6 +277,16 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
     const Bits cross_plane = met & ~bits(hn::Or(above, below));
     if (!cross_plane) return 0;
 
+    // Bounds of the slopes, where all corners lie ahead.
+    const Mask ahead = back > hn::Zero(lanes_tag);
+    Float inv[3];
+    for (int k = 0; k < 3; ++k) inv[k] = splat(1) / p[2][k];
+    for (int k = 0; k < 2; ++k) {
+        const Float a = p[k][0] * inv[0], b = p[k][1] * inv[1], c = p[k][2] * inv[2];
+        store(hn::IfThenElse(ahead, min3(a, b, c), splat(-infinity)), facets.slopes[k][0]);
+        store(hn::IfThenElse(ahead, max3(a, b, c), splat(infinity)), facets.slopes[k][1]);
+    }
+
     // Normals that point inwards, as far as the origin's side of the plane is known.
     const Mask known = hn::Abs(origin) > error;
     const float reach = shaft.reach();
@@ -281,8 +294,11 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
         splat(0x1p-18f * shaft.steepest() * reach) * (splat(0x1p-20f * reach) + extent);
     const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
     store(edge_slack, facets.edge_slack);
-    store(ends_error, facets.plane_slack);
-    store(hn::Abs(origin), facets.height);
+    const Float height = hn::Abs(origin);
+    const Float plane_slack = hn::IfThenElse(known, ends_error, splat(infinity));
+    store(height - plane_slack, facets.before);
+    // A hit needs t < 1 after rounding.
+    store(height + hn::Max(splat(0x1p-20f) * height, plane_slack), facets.beyond);
     const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
     for (int k = 0; k < 3; ++k) store(towards * n[k], facets.plane[k]);
     Float most = splat(infinity);
