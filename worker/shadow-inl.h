@@ -61,15 +61,24 @@ public:
     HWY_INLINE void directions(int g, int k, const mat3* from_world, Float (&d)[3]) const {
         const int at = (first_ + g) * group_size + k;
         for (int i = 0; i < 3; ++i) d[i] = load(targets_.p[i] + at) - splat(light_[i]);
-        if (!from_world) return;
-        // In the order of Affine::vector, for the same bits.
-        const mat3& m = *from_world;
+        if (from_world) transform(*from_world, d);
+    }
+
+    /// The directions of ray `i` of every group.
+    HWY_INLINE void lanes(int i, const mat3* from_world, Float (&d)[3]) const {
+        for (int k = 0; k < 3; ++k)
+            d[k] = load(targets_.by_place[k][i] + first_) - splat(light_[k]);
+        if (from_world) transform(*from_world, d);
+    }
+
+private:
+    /// In the order of Affine::vector, for the same bits.
+    static HWY_INLINE void transform(const mat3& m, Float (&d)[3]) {
         const Float x = d[0], y = d[1], z = d[2];
         for (int i = 0; i < 3; ++i)
             d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
     }
 
-private:
     static HWY_INLINE Boxes transformed(const Boxes& box, const mat3& m) {
         Boxes out;
         for (int i = 0; i < 3; ++i) {
@@ -117,9 +126,10 @@ public:
 
     void run(Bits groups) {
         const Boxes ends = rays_.ends(from_world_);
+        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR { rays_.lanes(i, from_world_, d); };
         for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(org_, ends, left, reach_);
-            if (!carried) carried = shaft_.set(org_, ends, left & (~left + 1), reach_);
+            Bits carried = shaft_.set(org_, ends, lanes, left, reach_);
+            if (!carried) carried = shaft_.set(org_, ends, lanes, left & (~left + 1), reach_);
             if (carried) {
                 ask_cache(carried);
                 walk(carried);
@@ -338,12 +348,13 @@ private:
                     return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
                 };
                 const Float least = min3(distance(0), distance(1), distance(2));
+                const Bits inside = bits(least >= hn::Neg(slack)) & alive_.rays[g] >> k;
+                if (!inside) continue;
                 const Float along =
                     hn::MulAdd(plane[0], load(rays.d[shaft_.axis(0)] + k),
                                hn::MulAdd(plane[1], load(rays.d[shaft_.axis(1)] + k),
                                           plane[2] * load(rays.z + k)));
-                const Bits maybe =
-                    bits(hn::And(least >= hn::Neg(slack), along >= before)) & alive_.rays[g] >> k;
+                const Bits maybe = inside & bits(along >= before);
                 if (!maybe) continue;
                 const Bits hit = maybe & bits(hn::And(least > slack, along > beyond));
                 if (hit) alive_.block(g, hit << k), any = true;
@@ -449,12 +460,13 @@ public:
 
     void run() {
         const Boxes ends = rays_.ends(nullptr);
+        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR { rays_.lanes(i, nullptr, d); };
         const Box& b = scene_.top.bounds;
         const float reach =
             std::max(max_component(abs(b.lo - light_)), max_component(abs(b.hi - light_)));
         for (Bits left = alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(light_, ends, left, reach);
-            if (!carried) carried = shaft_.set(light_, ends, left & (~left + 1), reach);
+            Bits carried = shaft_.set(light_, ends, lanes, left, reach);
+            if (!carried) carried = shaft_.set(light_, ends, lanes, left & (~left + 1), reach);
             if (carried) {
                 walk(carried);
             } else {

@@ -67,8 +67,10 @@ class Shaft {
 public:
     /// Takes of the `wanted` groups those whose rays all advance well along one axis, and returns
     /// them. `ends` bounds the directions of each group's rays, along the scene's axes and from the
-    /// origin to where they end; `reach` exceeds the distance along each axis of all geometry.
-    Bits set(const vec3& org, const Boxes& ends, Bits wanted, float reach);
+    /// origin to where they end; `lanes(i, d)` sets `d` to those of ray i of every group; `reach`
+    /// exceeds the distance along each axis of all geometry.
+    template <class Lanes>
+    Bits set(const vec3& org, const Boxes& ends, Lanes&& lanes, Bits wanted, float reach);
 
     const vec3& origin() const { return org_; }
     int axis(int k) const { return axes_[k]; }
@@ -117,7 +119,8 @@ private:
         return {{lo(x), lo(y), hn::Neg(hi(z))}, {hi(x), hi(y), hn::Neg(lo(z))}};
     }
     Bits choose_axis(const Boxes& ends, Bits wanted);
-    void bound_slopes(Bits carried);
+    template <class Lanes>
+    void bound_slopes(Lanes&& lanes, Bits carried);
 
     vec3 org_;
     int axes_[3];
@@ -162,25 +165,28 @@ inline Bits Shaft::choose_axis(const Boxes& ends, Bits wanted) {
     return wanted & bits(sound);
 }
 
-inline Bits Shaft::set(const vec3& org, const Boxes& ends, Bits wanted, float reach) {
+template <class Lanes>
+Bits Shaft::set(const vec3& org, const Boxes& ends, Lanes&& lanes, Bits wanted, float reach) {
     if (!(reach < 0x1p40f)) return 0;
     org_ = org;
     reach_ = reach;
 
     const Bits carried = choose_axis(ends, wanted);
-    if (carried) bound_slopes(carried);
+    if (carried) bound_slopes(lanes, carried);
     return carried;
 }
 
-inline void Shaft::bound_slopes(Bits carried) {
-    Boxes e;
-    for (int k = 0; k < 3; ++k)
-        e.lo[k] = load(group_ends_[k][0]), e.hi[k] = load(group_ends_[k][1]);
-    const Float inv_near = splat(1) / e.lo[2], inv_far = splat(1) / e.hi[2];
-    const Float u_lo = hn::Min(e.lo[0] * inv_near, e.lo[0] * inv_far);
-    const Float u_hi = hn::Max(e.hi[0] * inv_near, e.hi[0] * inv_far);
-    const Float v_lo = hn::Min(e.lo[1] * inv_near, e.lo[1] * inv_far);
-    const Float v_hi = hn::Max(e.hi[1] * inv_near, e.hi[1] * inv_far);
+template <class Lanes>
+void Shaft::bound_slopes(Lanes&& lanes, Bits carried) {
+    Float u_lo = splat(infinity), u_hi = splat(-infinity), v_lo = u_lo, v_hi = u_hi;
+    for (int i = 0; i < group_size; ++i) {
+        Float d[3];
+        lanes(i, d);
+        const Float inv = reciprocal(d[axes_[2]]) * splat(sign_);
+        const Float u = d[axes_[0]] * inv, v = d[axes_[1]] * inv;
+        u_lo = hn::Min(u_lo, u), u_hi = hn::Max(u_hi, u);
+        v_lo = hn::Min(v_lo, v), v_hi = hn::Max(v_hi, v);
+    }
     const Mask among = mask_of(carried);
     chunk_[0] = least_of(u_lo, among);
     chunk_[1] = greatest_of(u_hi, among);
@@ -198,7 +204,7 @@ inline void Shaft::bound_slopes(Bits carried) {
     store(u_hi + margin, groups_[1]);
     store(v_lo - margin, groups_[2]);
     store(v_hi + margin, groups_[3]);
-    store(e.hi[2] * splat(1 + 0x1p-20f), groups_[4]);
+    store(load(group_ends_[2][1]) * splat(1 + 0x1p-20f), groups_[4]);
     for (const int i : {0, 2}) chunk_[i] -= widening_;
     for (const int i : {1, 3}) chunk_[i] += widening_;
     chunk_[4] = (sign_ > 0 ? ends_hi_[axes_[2]] : -ends_lo_[axes_[2]]) * (1 + 0x1p-20f);

@@ -30,21 +30,39 @@ struct Targets {
 
     RayMask finite{};
     alignas(64) float p[3][max_count] = {};
+    /// The points again by their place in the group: [axis][place][group]. Places without a finite
+    /// point repeat another of the group.
+    alignas(64) float by_place[3][group_size][max_groups] = {};
     /// Bounds of each group's finite points.
     alignas(64) float lo[3][max_groups];
     alignas(64) float hi[3][max_groups];
+
+private:
+    void add_group(std::size_t g, std::span<const vec3> group);
 };
 
 inline Targets::Targets(std::span<const vec3> points) {
-    Box boxes[max_groups];
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        if (!is_finite(points[i])) continue;
-        set(finite, i);
-        for (int k = 0; k < 3; ++k) p[k][i] = points[i][k];
-        boxes[i / group_size].add(points[i]);
+    for (std::size_t g = 0; g < max_groups; ++g) {
+        const std::size_t first = g * group_size;
+        const auto group = points.subspan(std::min(first, points.size()))
+                               .first(std::min<std::size_t>(
+                                   group_size, points.size() - std::min(first, points.size())));
+        add_group(g, group);
     }
-    for (int g = 0; g < max_groups; ++g)
-        for (int k = 0; k < 3; ++k) lo[k][g] = boxes[g].lo[k], hi[k][g] = boxes[g].hi[k];
+}
+
+inline void Targets::add_group(std::size_t g, std::span<const vec3> group) {
+    Box box;
+    const auto sound =
+        std::ranges::find_if(group, [](const vec3& point) { return is_finite(point); });
+    for (std::size_t i = 0; i < group_size && sound != group.end(); ++i) {
+        const bool usable = i < group.size() && is_finite(group[i]);
+        if (usable) set(finite, g * group_size + i);
+        const vec3& point = usable ? group[i] : *sound;
+        for (int k = 0; k < 3; ++k) p[k][g * group_size + i] = by_place[k][i][g] = point[k];
+        box.add(point);
+    }
+    for (int k = 0; k < 3; ++k) lo[k][g] = box.lo[k], hi[k][g] = box.hi[k];
 }
 
 }  // namespace tessera
