@@ -23,12 +23,18 @@ namespace HWY_NAMESPACE {
 
 /// The rays that nothing blocks yet.
 struct Alive {
-    Bits rays[W];     ///< of each group
-    Bits groups = 0;  ///< that have any
+    alignas(64) Bits rays[W];  ///< of each group
+    Bits groups = 0;           ///< that have any
 
     void block(int g, Bits blocked) {
         rays[g] &= ~blocked;
         if (!rays[g]) groups &= ~(Bits(1) << g);
+    }
+    /// The groups whose ray `i` lives.
+    HWY_INLINE Mask in_place(int i) const {
+        constexpr hn::RebindToUnsigned<decltype(lanes_tag)> tag;
+        return hn::RebindMask(lanes_tag,
+                              hn::TestBit(hn::Load(tag, rays), hn::Set(tag, Bits(1) << i)));
     }
     void block_groups(Bits blocked) {
         for_each_bit(blocked, [&](int g) { rays[g] = 0; });
@@ -126,7 +132,10 @@ public:
 
     void run(Bits groups) {
         const Boxes ends = rays_.ends(from_world_);
-        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR { rays_.lanes(i, from_world_, d); };
+        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
+            rays_.lanes(i, from_world_, d);
+            return alive_.in_place(i);
+        };
         for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
             Bits carried = shaft_.set(org_, ends, lanes, left, reach_);
             if (!carried) carried = shaft_.set(org_, ends, lanes, left & (~left + 1), reach_);
@@ -460,7 +469,10 @@ public:
 
     void run() {
         const Boxes ends = rays_.ends(nullptr);
-        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR { rays_.lanes(i, nullptr, d); };
+        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
+            rays_.lanes(i, nullptr, d);
+            return alive_.in_place(i);
+        };
         const Box& b = scene_.top.bounds;
         const float reach =
             std::max(max_component(abs(b.lo - light_)), max_component(abs(b.hi - light_)));

@@ -67,7 +67,8 @@ class Shaft {
 public:
     /// Takes of the `wanted` groups those whose rays all advance well along one axis, and returns
     /// them. `ends` bounds the directions of each group's rays, along the scene's axes and from the
-    /// origin to where they end; `lanes(i, d)` sets `d` to those of ray i of every group; `reach`
+    /// origin to where they end; `lanes(i, d)` sets `d` to those of ray i of every group
+    /// and tells in which groups that ray counts; `reach`
     /// exceeds the distance along each axis of all geometry.
     template <class Lanes>
     Bits set(const vec3& org, const Boxes& ends, Lanes&& lanes, Bits wanted, float reach);
@@ -181,11 +182,13 @@ void Shaft::bound_slopes(Lanes&& lanes, Bits carried) {
     Float u_lo = splat(infinity), u_hi = splat(-infinity), v_lo = u_lo, v_hi = u_hi;
     for (int i = 0; i < group_size; ++i) {
         Float d[3];
-        lanes(i, d);
+        const Mask counts = lanes(i, d);
         const Float inv = reciprocal(d[axes_[2]]) * splat(sign_);
         const Float u = d[axes_[0]] * inv, v = d[axes_[1]] * inv;
-        u_lo = hn::Min(u_lo, u), u_hi = hn::Max(u_hi, u);
-        v_lo = hn::Min(v_lo, v), v_hi = hn::Max(v_hi, v);
+        u_lo = hn::IfThenElse(counts, hn::Min(u_lo, u), u_lo);
+        u_hi = hn::IfThenElse(counts, hn::Max(u_hi, u), u_hi);
+        v_lo = hn::IfThenElse(counts, hn::Min(v_lo, v), v_lo);
+        v_hi = hn::IfThenElse(counts, hn::Max(v_hi, v), v_hi);
     }
     const Mask among = mask_of(carried);
     chunk_[0] = least_of(u_lo, among);
