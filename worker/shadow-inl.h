@@ -48,16 +48,6 @@ public:
     ShadowRays(const vec3& light, const Targets& targets, int first_group)
         : light_(light), targets_(targets), first_(first_group) {}
 
-    /// Bounds of the groups' directions in the space that `from_world` leads to.
-    Boxes ends(const mat3* from_world) const {
-        Boxes out;
-        for (int k = 0; k < 3; ++k) {
-            out.lo[k] = load(targets_.lo[k] + first_) - splat(light_[k]);
-            out.hi[k] = load(targets_.hi[k] + first_) - splat(light_[k]);
-        }
-        return from_world ? transformed(out, *from_world) : out;
-    }
-
     vec3 direction(int g, int i, const mat3* from_world) const {
         const vec3 d = targets_.point(std::size_t((first_ + g) * group_size + i)) - light_;
         return from_world ? *from_world * d : d;
@@ -83,23 +73,6 @@ private:
         const Float x = d[0], y = d[1], z = d[2];
         for (int i = 0; i < 3; ++i)
             d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
-    }
-
-    static HWY_INLINE Boxes transformed(const Boxes& box, const mat3& m) {
-        Boxes out;
-        for (int i = 0; i < 3; ++i) {
-            Float centre = hn::Zero(lanes_tag), half = centre;
-            for (int k = 0; k < 3; ++k) {
-                const Float sum = box.lo[k] + box.hi[k], difference = box.hi[k] - box.lo[k];
-                centre = hn::MulAdd(splat(0.5f * m[k][i]), sum, centre);
-                half = hn::MulAdd(splat(0.5f * std::abs(m[k][i])),
-                                  hn::MulAdd(splat(0x1p-20f), hn::Abs(sum), difference), half);
-            }
-            half = half * splat(1 + 0x1p-19f);
-            out.lo[i] = centre - half;
-            out.hi[i] = centre + half;
-        }
-        return out;
     }
 
     const vec3& light_;
@@ -131,14 +104,13 @@ public:
     }
 
     void run(Bits groups) {
-        const Boxes ends = rays_.ends(from_world_);
         const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
             rays_.lanes(i, from_world_, d);
             return alive_.in_place(i);
         };
         for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(org_, ends, lanes, left, reach_);
-            if (!carried) carried = shaft_.set(org_, ends, lanes, left & (~left + 1), reach_);
+            Bits carried = shaft_.set(org_, lanes, left, reach_);
+            if (!carried) carried = shaft_.set(org_, lanes, left & (~left + 1), reach_);
             if (carried) {
                 ask_cache(carried);
                 walk(carried);
@@ -468,7 +440,6 @@ public:
         : scene_(scene), light_(light), rays_(rays), alive_(alive), cache_(cache) {}
 
     void run() {
-        const Boxes ends = rays_.ends(nullptr);
         const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
             rays_.lanes(i, nullptr, d);
             return alive_.in_place(i);
@@ -477,8 +448,8 @@ public:
         const float reach =
             std::max(max_component(abs(b.lo - light_)), max_component(abs(b.hi - light_)));
         for (Bits left = alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(light_, ends, lanes, left, reach);
-            if (!carried) carried = shaft_.set(light_, ends, lanes, left & (~left + 1), reach);
+            Bits carried = shaft_.set(light_, lanes, left, reach);
+            if (!carried) carried = shaft_.set(light_, lanes, left & (~left + 1), reach);
             if (carried) {
                 walk(carried);
             } else {

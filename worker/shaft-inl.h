@@ -71,7 +71,7 @@ public:
     /// and tells in which groups that ray counts; `reach`
     /// exceeds the distance along each axis of all geometry.
     template <class Lanes>
-    Bits set(const vec3& org, const Boxes& ends, Lanes&& lanes, Bits wanted, float reach);
+    Bits set(const vec3& org, Lanes&& lanes, Bits wanted, float reach);
 
     const vec3& origin() const { return org_; }
     int axis(int k) const { return axes_[k]; }
@@ -167,11 +167,21 @@ inline Bits Shaft::choose_axis(const Boxes& ends, Bits wanted) {
 }
 
 template <class Lanes>
-Bits Shaft::set(const vec3& org, const Boxes& ends, Lanes&& lanes, Bits wanted, float reach) {
+Bits Shaft::set(const vec3& org, Lanes&& lanes, Bits wanted, float reach) {
     if (!(reach < 0x1p40f)) return 0;
     org_ = org;
     reach_ = reach;
 
+    Boxes ends;
+    for (int k = 0; k < 3; ++k) ends.lo[k] = splat(infinity), ends.hi[k] = splat(-infinity);
+    for (int i = 0; i < group_size; ++i) {
+        Float d[3];
+        const Mask counts = lanes(i, d);
+        for (int k = 0; k < 3; ++k) {
+            ends.lo[k] = hn::IfThenElse(counts, hn::Min(ends.lo[k], d[k]), ends.lo[k]);
+            ends.hi[k] = hn::IfThenElse(counts, hn::Max(ends.hi[k], d[k]), ends.hi[k]);
+        }
+    }
     const Bits carried = choose_axis(ends, wanted);
     if (carried) bound_slopes(lanes, carried);
     return carried;

@@ -33,9 +33,6 @@ struct Targets {
     /// The points again by their place in the group: [axis][place][group]. Places without a finite
     /// point repeat another of the group.
     alignas(64) float by_place[3][group_size][max_groups] = {};
-    /// Bounds of each group's finite points.
-    alignas(64) float lo[3][max_groups];
-    alignas(64) float hi[3][max_groups];
 
 private:
     void add_group(std::size_t g, std::span<const vec3> group);
@@ -52,7 +49,6 @@ inline Targets::Targets(std::span<const vec3> points) {
 }
 
 inline void Targets::add_group(std::size_t g, std::span<const vec3> group) {
-    Box box;
     const auto sound =
         std::ranges::find_if(group, [](const vec3& point) { return is_finite(point); });
     for (std::size_t i = 0; i < group_size && sound != group.end(); ++i) {
@@ -60,9 +56,7 @@ inline void Targets::add_group(std::size_t g, std::span<const vec3> group) {
         if (usable) set(finite, g * group_size + i);
         const vec3& point = usable ? group[i] : *sound;
         for (int k = 0; k < 3; ++k) p[k][g * group_size + i] = by_place[k][i][g] = point[k];
-        box.add(point);
     }
-    for (int k = 0; k < 3; ++k) lo[k][g] = box.lo[k], hi[k][g] = box.hi[k];
 }
 
 }  // namespace tessera
