@@ -1,3 +1,8 @@
+// Closest hits of hundreds of rays from one point: a camera's through a tile.
+//
+// The traversal is that of worker/shaft-inl.h, nearest boxes first; groups that are wide against
+// the boxes go on alone, ray by ray in the lanes. Candidates that no float bound puts beside a ray
+// or behind its closest hit so far are decided in double, 16 rays of a group at once.
 #if defined(TESSERA_PRIMARY_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef TESSERA_PRIMARY_INL_H
 #undef TESSERA_PRIMARY_INL_H
@@ -11,10 +16,349 @@ HWY_BEFORE_NAMESPACE();
 namespace tessera {
 namespace HWY_NAMESPACE {
 
+/// The closest hits of a chunk's rays so far, group by group.
+struct Closest {
+    alignas(64) float t[chunk_size];  ///< zero for rays that there are not
+    float u[chunk_size], v[chunk_size];
+    std::uint32_t instance[chunk_size], triangle[chunk_size];
+
+    explicit Closest(const Alive& alive) {
+        for (int i = 0; i < chunk_size; ++i) {
+            t[i] = alive.rays[i / group_size] >> (i % group_size) & 1 ? infinity : 0;
+            instance[i] = no_instance;
+        }
+    }
+    Hit hit(int i) const {
+        return instance[i] == no_instance ? Hit{} : Hit{t[i], u[i], v[i], instance[i], triangle[i]};
+    }
+    /// Takes the hit if it is closer, or as close and of lower ids.
+    bool take(int i, const Hit& hit) {
+        if (!(hit.t < t[i] || (hit.t == t[i] && std::pair(hit.instance, hit.triangle) <
+                                                    std::pair(instance[i], triangle[i]))))
+            return false;
+        t[i] = hit.t, u[i] = hit.u, v[i] = hit.v;
+        instance[i] = hit.instance, triangle[i] = hit.triangle;
+        return true;
+    }
+};
+
+/// TriangleRay::hits for a group of rays from one origin: the same operations in the same order,
+/// and so the same bits, of as many rays at once as doubles fit.
+class ExactGroup {
+public:
+    /// False when the directions are largest along different axes.
+    bool set(const vec3& org, const GroupRays& rays) {
+        Float size[3];
+        for (int k = 0; k < group_size; k += W) {
+            for (int i = 0; i < 3; ++i) size[i] = hn::Abs(load(rays.d[i] + k));
+            const Bits x_most = bits(hn::And(size[0] > size[1], size[0] > size[2]));
+            const Bits y_most = bits(hn::And(hn::Not(size[0] > size[1]), size[1] > size[2]));
+            const int z = x_most == all_lanes ? 0 : y_most == all_lanes ? 1 : 2;
+            if (z == 2 && (x_most || y_most)) return false;
+            if (k > 0 && z != axes_[2]) return false;
+            axes_[2] = z;
+        }
+
+        axes_[0] = axes_[2] == 2 ? 0 : axes_[2] + 1;
+        axes_[1] = axes_[0] == 2 ? 0 : axes_[0] + 1;
+        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[k]];
+        for (int i = 0; i < group_size; i += half_width) {
+            const Double sz = set(1) / promoted(rays.d[axes_[2]] + i);
+            hn::Store(sz, tag, sz_ + i);
+            hn::Store(promoted(rays.d[axes_[0]] + i) * sz, tag, sx_ + i);
+            hn::Store(promoted(rays.d[axes_[1]] + i) * sz, tag, sy_ + i);
+        }
+        return true;
+    }
+
+    /// Lets `best`, of the group that starts at `at`, take the hits of the rays from `first` to
+    /// `first` + W - 1; tells whether any was taken.
+    HWY_INLINE bool test(const Block& block, int lane, std::uint32_t instance, Closest& best,
+                         int at, int first) const {
+        const float* const corners = &block.corners[0][0][0];
+        Double x[3], y[3];
+        double z[3];
+        double px[3], py[3];
+        for (int k = 0; k < 3; ++k) {
+            const auto corner = [&](int axis) { return corners[(k * 3 + axes_[axis]) * W + lane]; };
+            px[k] = corner(0) - org_[0], py[k] = corner(1) - org_[1], z[k] = corner(2) - org_[2];
+        }
+        bool any = false;
+        for (int i = first; i < first + W; i += half_width) {
+            const Double sx = hn::Load(tag, sx_ + i), sy = hn::Load(tag, sy_ + i);
+            Double width = set(0);
+            for (int k = 0; k < 3; ++k) {
+                x[k] = set(px[k]) - sx * set(z[k]);
+                y[k] = set(py[k]) - sy * set(z[k]);
+                width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+            }
+            const Double u = x[2] * y[1] - y[2] * x[1];
+            const Double v = x[0] * y[2] - y[0] * x[2];
+            const Double w = x[1] * y[0] - y[1] * x[0];
+            const auto beside =
+                hn::And(hn::Min(u, hn::Min(v, w)) < set(0), hn::Max(u, hn::Max(v, w)) > set(0));
+            const Double det = u + v + w;
+            const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
+            const auto hits = hn::AndNot(beside, sound);
+            if (hn::AllFalse(tag, hits)) continue;
+            const Double scale = set(1) / det;
+            const Double t =
+                (u * set(z[0]) + v * set(z[1]) + w * set(z[2])) * (hn::Load(tag, sz_ + i) * scale);
+            any |= take(hits, t, v * scale, w * scale, block.ids[lane], instance, best, at + i);
+        }
+        return any;
+    }
+
+private:
+    static constexpr hn::ScalableTag<double> tag{};
+    static constexpr hn::Rebind<float, hn::ScalableTag<double>> half{};
+    using Double = hn::Vec<hn::ScalableTag<double>>;
+    static constexpr int half_width = int(hn::MaxLanes(hn::ScalableTag<double>()));
+
+    static HWY_INLINE Double set(double x) { return hn::Set(tag, x); }
+    static HWY_INLINE Double promoted(const float* x) {
+        return hn::PromoteTo(tag, hn::Load(half, x));
+    }
+
+    template <class M>
+    static HWY_INLINE bool take(M hits, Double t, Double u, Double v, std::uint32_t triangle,
+                                std::uint32_t instance, Closest& best, int at) {
+        alignas(64) float found_t[half_width], found_u[half_width], found_v[half_width];
+        hn::Store(hn::DemoteTo(half, t), half, found_t);
+        hn::Store(hn::DemoteTo(half, u), half, found_u);
+        hn::Store(hn::DemoteTo(half, v), half, found_v);
+        std::uint8_t bytes[8] = {};
+        hn::StoreMaskBits(tag, hits, bytes);
+        bool any = false;
+        for_each_bit(bytes[0], [&](int i) {
+            if (found_t[i] > 0 && found_t[i] < infinity)
+                any |= best.take(at + i, {found_t[i], found_u[i], found_v[i], instance, triangle});
+        });
+        return any;
+    }
+
+    int axes_[3];
+    double org_[3];
+    alignas(64) double sx_[group_size], sy_[group_size], sz_[group_size];
+};
+
+/// The closest hits of a chunk of rays in one object.
+class ObjectClosest : ObjectRays {
+public:
+    ObjectClosest(const SceneObject& object, std::uint32_t instance,
+                  const Affine* object_from_world, const vec3& origin, const PointRays& rays,
+                  const Alive& alive, Closest& best)
+        : ObjectRays(object, instance, object_from_world, origin, rays),
+          alive_(alive),
+          best_(best) {}
+
+    void run(Bits groups) {
+        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
+            lanes(i, d);
+            return alive_.in_place(i);
+        };
+        for (Bits left = groups; left;) {
+            Bits carried = shaft_.set(org_, living, left, reach_);
+            if (!carried) carried = shaft_.set(org_, living, left & (~left + 1), reach_);
+            if (carried) {
+                for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? reach(g) : 0;
+                walk(carried);
+                left &= ~carried;
+            } else {
+                const int g = std::countr_zero(left);
+                trace_singly(g, alive_.rays[g], WideLink::node(0));
+                left &= left - 1;
+            }
+        }
+    }
+
+private:
+    struct Entry {
+        float z;
+        WideLink link;
+        Bits reached;  ///< groups or rays
+    };
+
+    /// Entries to visit, those pushed at a time in order of their z.
+    class Stack {
+    public:
+        bool pop(Entry& entry) { return top_ > 0 && (entry = entries_[--top_], true); }
+        void mark() { base_ = top_; }
+        void push(const Entry& entry) {
+            int place = top_++;
+            for (; place != base_ && entries_[place - 1].z < entry.z; --place)
+                entries_[place] = entries_[place - 1];
+            entries_[place] = entry;
+        }
+
+    private:
+        Entry entries_[wide_stack_size<W>];
+        int top_ = 0, base_ = 0;
+    };
+
+    void walk(Bits carried) {
+        Stack stack;
+        stack.push({0, WideLink::node(0), carried});
+        for (Entry entry; stack.pop(entry);) {
+            const Bits groups = entry.reached & bits(splat(entry.z) <= load(far_));
+            if (!groups) continue;
+            if (entry.link.is_leaf()) {
+                for (std::uint32_t i = 0; i < entry.link.count(); ++i)
+                    test_block(entry.link.first() + i, groups);
+                continue;
+            }
+            const Node& node = object_.tree.nodes[entry.link.first()];
+            const Boxes boxes = shaft_.children(node);
+            Slopes slopes = shaft_.chunk();
+            slopes.far = hn::MaxOfLanes(lanes_tag, load(far_));
+            const Bits met = bits(may_meet(boxes, slopes));
+            if (!met) continue;
+            const Float extent = max3(boxes.hi[0] - boxes.lo[0], boxes.hi[1] - boxes.lo[1],
+                                      boxes.hi[2] - boxes.lo[2]);
+            const Bits is_narrow =
+                met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
+            alignas(64) float start[W];
+            store(boxes.lo[2], start);
+            stack.mark();
+            for_each_bit(met, [&](int i) HWY_ATTR {
+                const WideLink child = node.children[i];
+                if (is_narrow >> i & 1) return stack.push({start[i], child, groups});
+                const Boxes box = shaft_.child(node, i);
+                Slopes of_groups = shaft_.groups();
+                of_groups.far = load(far_);
+                const Bits reached = bits(may_meet(box, of_groups)) & groups;
+                if (reached) stack.push({start[i], child, reached});
+            });
+        }
+    }
+
+    void trace_singly(int g, Bits rays, WideLink from) {
+        for_each_bit(rays, [&](int i) {
+            const Ray ray = this->ray(g, i, infinity);
+            if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
+            Query<false> query;
+            query.trace(object_, ray, instance_, from);
+            if (query.found()) best_.take(g * group_size + i, query.result());
+        });
+    }
+
+    HWY_NOINLINE void test_block(std::uint32_t index, Bits groups) {
+        const Block& block = object_.blocks[index];
+        Facets facets;
+        Slopes slopes = shaft_.chunk();
+        slopes.far = hn::MaxOfLanes(lanes_tag, load(far_));
+        for (Bits may = may_hit<false>(block, shaft_, slopes, {}, facets); may; may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            if (block.ids[lane] == Block::no_triangle) break;
+            const Bits open = groups_met(facets, lane) & groups;
+            if (open) test(block, lane, facets, open);
+        }
+    }
+
+    /// The groups of which not every ray passes outside one edge or has a closer hit.
+    HWY_INLINE Bits groups_met(const Facets& f, int lane) const {
+        Float most = splat(infinity);
+        for (const auto& n : f.edges) {
+            const float x = n[0][lane], y = n[1][lane];
+            most = hn::Min(most, hn::MulAdd(splat(x), load(shaft_.slopes(0, x > 0)),
+                                            hn::MulAdd(splat(y), load(shaft_.slopes(1, y > 0)),
+                                                       splat(n[2][lane]))));
+        }
+        Mask met =
+            hn::And(most >= splat(-f.edge_slack[lane]), splat(f.nearest[lane]) <= load(far_));
+        for (int k = 0; k < 2; ++k) {
+            met = hn::And(met, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
+            met = hn::And(met, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
+        }
+        return bits(met);
+    }
+
+    HWY_INLINE void test(const Block& block, int lane, const Facets& f, Bits groups) {
+        Float n[3][3], plane[3];
+        for (int k = 0; k < 3; ++k) {
+            for (int i = 0; i < 3; ++i) n[k][i] = splat(f.edges[k][i][lane]);
+            plane[k] = splat(f.plane[k][lane]);
+        }
+        const Float slack = splat(-f.edge_slack[lane]), before = splat(f.before[lane]);
+        const Float plane_slack = splat(f.plane_slack[lane]);
+        for_each_bit(groups, [&](int g) HWY_ATTR {
+            const GroupRays& rays = group_rays(g);
+            bool closer = false;
+            for (int k = 0; k < group_size; k += W) {
+                const Float u = load(rays.u + k), v = load(rays.v + k);
+                const auto along = [&](const Float* m) HWY_ATTR {
+                    return hn::MulAdd(m[0], u, hn::MulAdd(m[1], v, m[2]));
+                };
+                const Mask inside = min3(along(n[0]), along(n[1]), along(n[2])) >= slack;
+                // Its z is height / (n . (u, v, 1)).
+                const Float farthest =
+                    load(best_.t + g * group_size + k) * load(rays.z + k) * splat(1 + 0x1p-20f);
+                const Mask behind = before > farthest * (along(plane) + plane_slack);
+                if (hn::AllFalse(lanes_tag, hn::AndNot(behind, inside))) continue;
+                closer |= decide(block, lane, g, k);
+            }
+            if (closer) far_[g] = reach(g);
+        });
+    }
+
+    bool decide(const Block& block, int lane, int g, int k) {
+        if (!(known_exact_ >> g & 1)) {
+            known_exact_ |= Bits(1) << g;
+            if (!exact_[g].set(org_, group_rays(g))) mixed_ |= Bits(1) << g;
+        }
+        if (!(mixed_ >> g & 1))
+            return exact_[g].test(block, lane, instance_, best_, g * group_size, k);
+        bool any = false;
+        for_each_bit(alive_.rays[g] >> k & all_lanes, [&](int i) {
+            TriangleHit hit;
+            if (TriangleRay(ray(g, k + i, infinity)).hits(block.lane(lane), hit))
+                any |= best_.take(g * group_size + k + i,
+                                  {hit.t, hit.u, hit.v, instance_, block.ids[lane]});
+        });
+        return any;
+    }
+
+    /// Bounds the z of the closest hits of a group's rays.
+    float reach(int g) {
+        const GroupRays& rays = group_rays(g);
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W) {
+            const Float t = load(best_.t + g * group_size + k);
+            // Rays that there are not may have any z.
+            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * load(rays.z + k)), far);
+        }
+        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+    }
+
+    const Alive& alive_;
+    Closest& best_;
+    alignas(64) float far_[W];
+    Bits known_exact_ = 0, mixed_ = 0;
+    ExactGroup exact_[W];
+};
+
 void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
                   std::span<Hit> hits) {
-    for (std::size_t i = 0; i < dirs.size(); ++i)
-        hits[i] = trace<false>(scene, {origin, 0, dirs[i], infinity});
+    for (std::size_t start = 0; start < dirs.size(); start += chunk_size) {
+        const std::size_t count = std::min<std::size_t>(chunk_size, dirs.size() - start);
+        const Targets targets(dirs.subspan(start, count));
+        Alive alive;
+        for (int g = 0; g < W; ++g) {
+            alive.rays[g] = targets.finite[std::size_t(g)];
+            if (alive.rays[g]) alive.groups |= Bits(1) << g;
+        }
+        Closest best(alive);
+        if (scene.single) {
+            const vec3 zero(0);
+            ObjectClosest(scene.objects[0], 0, nullptr, origin, PointRays(zero, targets, 0), alive,
+                          best)
+                .run(alive.groups);
+            for (std::size_t i = 0; i < count; ++i) hits[start + i] = best.hit(int(i));
+        } else {
+            for (std::size_t i = 0; i < count; ++i)
+                hits[start + i] = trace<false>(scene, {origin, 0, dirs[start + i], infinity});
+        }
+    }
 }
 
 }  // namespace HWY_NAMESPACE

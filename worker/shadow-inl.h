@@ -21,96 +21,24 @@ HWY_BEFORE_NAMESPACE();
 namespace tessera {
 namespace HWY_NAMESPACE {
 
-/// The rays that nothing blocks yet.
-struct Alive {
-    alignas(64) Bits rays[W];  ///< of each group
-    Bits groups = 0;           ///< that have any
-
-    void block(int g, Bits blocked) {
-        rays[g] &= ~blocked;
-        if (!rays[g]) groups &= ~(Bits(1) << g);
-    }
-    /// The groups whose ray `i` lives.
-    HWY_INLINE Mask in_place(int i) const {
-        constexpr hn::RebindToUnsigned<decltype(lanes_tag)> tag;
-        return hn::RebindMask(lanes_tag,
-                              hn::TestBit(hn::Load(tag, rays), hn::Set(tag, Bits(1) << i)));
-    }
-    void block_groups(Bits blocked) {
-        for_each_bit(blocked, [&](int g) { rays[g] = 0; });
-        groups &= ~blocked;
-    }
-};
-
-/// W groups of a tile's points, as seen from the light.
-class ShadowRays {
-public:
-    ShadowRays(const vec3& light, const Targets& targets, int first_group)
-        : light_(light), targets_(targets), first_(first_group) {}
-
-    vec3 direction(int g, int i, const mat3* from_world) const {
-        const vec3 d = targets_.point(std::size_t((first_ + g) * group_size + i)) - light_;
-        return from_world ? *from_world * d : d;
-    }
-
-    /// The directions of W rays of group g, from ray `k`.
-    HWY_INLINE void directions(int g, int k, const mat3* from_world, Float (&d)[3]) const {
-        const int at = (first_ + g) * group_size + k;
-        for (int i = 0; i < 3; ++i) d[i] = load(targets_.p[i] + at) - splat(light_[i]);
-        if (from_world) transform(*from_world, d);
-    }
-
-    /// The directions of ray `i` of every group.
-    HWY_INLINE void lanes(int i, const mat3* from_world, Float (&d)[3]) const {
-        for (int k = 0; k < 3; ++k)
-            d[k] = load(targets_.by_place[k][i] + first_) - splat(light_[k]);
-        if (from_world) transform(*from_world, d);
-    }
-
-private:
-    /// In the order of Affine::vector, for the same bits.
-    static HWY_INLINE void transform(const mat3& m, Float (&d)[3]) {
-        const Float x = d[0], y = d[1], z = d[2];
-        for (int i = 0; i < 3; ++i)
-            d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
-    }
-
-    const vec3& light_;
-    const Targets& targets_;
-    int first_;
-};
-
-/// One group of a shaft, ray by ray: made when the shaft must look at single rays.
-struct GroupRays {
-    alignas(64) float d[3][group_size];  ///< by scene axis, to where the rays end
-    alignas(64) float u[group_size], v[group_size], z[group_size];
-};
-
 /// The shadow rays of a chunk against one object, in the object's space.
-class ObjectShadows {
+class ObjectShadows : ObjectRays {
 public:
     ObjectShadows(const SceneObject& object, std::uint32_t instance,
-                  const Affine* object_from_world, const vec3& light, const ShadowRays& rays,
+                  const Affine* object_from_world, const vec3& light, const PointRays& rays,
                   Alive& alive, OccluderCache* cache)
-        : object_(object),
-          instance_(instance),
-          from_world_(object_from_world ? &object_from_world->linear : nullptr),
-          org_(object_from_world ? object_from_world->point(light) : light),
-          rays_(rays),
+        : ObjectRays(object, instance, object_from_world, light, rays),
           alive_(alive),
-          cache_(cache) {
-        const Box& b = object.tree.bounds;
-        reach_ = std::max(max_component(abs(b.lo - org_)), max_component(abs(b.hi - org_)));
-    }
+          cache_(cache) {}
 
     void run(Bits groups) {
-        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
-            rays_.lanes(i, from_world_, d);
+        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
+            lanes(i, d);
             return alive_.in_place(i);
         };
         for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(org_, lanes, left, reach_);
-            if (!carried) carried = shaft_.set(org_, lanes, left & (~left + 1), reach_);
+            Bits carried = shaft_.set(org_, living, left, reach_);
+            if (!carried) carried = shaft_.set(org_, living, left & (~left + 1), reach_);
             if (carried) {
                 ask_cache(carried);
                 walk(carried);
@@ -124,10 +52,6 @@ public:
     }
 
 private:
-    /// A group is wide where its rays are this share of a box's extent apart.
-    static constexpr float wide = 1.0f / 8;
-    /// So narrow a shaft meets a box with all its groups or hardly at all.
-    static constexpr float narrow = 1.0f / 4;
     /// So few rays are faster one by one.
     static constexpr int few = 1;
 
@@ -214,22 +138,10 @@ private:
         }
     }
 
-    HWY_INLINE Bits rays_that_meet(const GroupRays& rays, const Boxes& box) const {
-        const Float margin = splat(shaft_.widening()), longer = splat(1 + 0x1p-20f);
-        Bits reached = 0;
-        for (int k = 0; k < group_size; k += W) {
-            const Float u = load(rays.u + k), v = load(rays.v + k);
-            const Slopes s{u - margin, u + margin, v - margin, v + margin,
-                           load(rays.z + k) * longer};
-            reached |= bits(may_meet(box, s)) << k;
-        }
-        return reached;
-    }
-
     void trace_singly(int g, Bits rays, WideLink from) {
         for_each_bit(rays, [&](int i) {
             Query<true> query(1);
-            const Ray ray = this->ray(g, i);
+            const Ray ray = this->ray(g, i, 1);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
             query.trace(object_, ray, instance_, from);
             if (query.found()) alive_.block(g, Bits(1) << i);
@@ -241,8 +153,8 @@ private:
         const Block& block = object_.blocks[index];
         Facets facets;
         bool useful = false;
-        for (Bits may = may_hit(block, shaft_, shaft_.chunk(), shaft_.chunk_ends(), facets); may;
-             may &= may - 1) {
+        for (Bits may = may_hit<true>(block, shaft_, shaft_.chunk(), shaft_.chunk_ends(), facets);
+             may; may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
             const Met met = groups_met(facets, lane);
@@ -255,17 +167,12 @@ private:
         if (useful) remember(index);
     }
 
-    struct GroupBounds {
-        Slopes slopes;
-        Boxes ends;
-    };
-
     /// The same against one group.
     HWY_NOINLINE void test_block(std::uint32_t index, int g, const GroupBounds& bounds) {
         const Block& block = object_.blocks[index];
         Facets facets;
         bool useful = false;
-        for (Bits may = may_hit(block, shaft_, bounds.slopes, bounds.ends, facets); may;
+        for (Bits may = may_hit<true>(block, shaft_, bounds.slopes, bounds.ends, facets); may;
              may &= may - 1) {
             const int lane = std::countr_zero(may);
             if (block.ids[lane] == Block::no_triangle) break;
@@ -350,7 +257,7 @@ private:
     /// Blocks those of the rays that hit the triangle.
     HWY_INLINE bool decide(const Facet& facet, const Block& block, int lane, int g, int k,
                            Bits maybe) {
-        const GroupRays& rays = group_rays_[g];
+        const GroupRays& rays = group_rays(g);
         Bits crossed, maybe_crossed;
         facet.crossed(rays.d[shaft_.axis(0)] + k, rays.d[shaft_.axis(1)] + k, rays.z + k, crossed,
                       maybe_crossed);
@@ -361,7 +268,7 @@ private:
         Bits hit = maybe & inside & crossed;
         for_each_bit(maybe & maybe_inside & ~hit, [&](int i) {
             TriangleHit found;
-            if (TriangleRay(ray(g, k + i)).hits(block.lane(lane), found)) hit |= Bits(1) << i;
+            if (TriangleRay(ray(g, k + i, 1)).hits(block.lane(lane), found)) hit |= Bits(1) << i;
         });
         if (hit) alive_.block(g, hit << k);
         return hit != 0;
@@ -378,64 +285,14 @@ private:
         known[0] = {instance_, index};
     }
 
-    const GroupRays& group_rays(int g) {
-        GroupRays& out = group_rays_[g];
-        if (known_rays_ >> g & 1) return out;
-        known_rays_ |= Bits(1) << g;
-        for (int k = 0; k < group_size; k += W) {
-            Float d[3];
-            rays_.directions(g, k, from_world_, d);
-            for (int i = 0; i < 3; ++i) store(d[i], out.d[i] + k);
-            const Float z = splat(shaft_.sign()) * d[shaft_.axis(2)];
-            const Float inv = splat(1) / z;
-            store(d[shaft_.axis(0)] * inv, out.u + k);
-            store(d[shaft_.axis(1)] * inv, out.v + k);
-            store(z, out.z + k);
-        }
-        return out;
-    }
-
-    GroupBounds bounds_of(const GroupRays& rays, Bits among) const {
-        const auto lo = [&](const float* x) HWY_ATTR {
-            float least = infinity;
-            for (int k = 0; k < group_size; k += W)
-                least = std::min(least, least_of(load(x + k), mask_of(among >> k & all_lanes)));
-            return least;
-        };
-        const auto hi = [&](const float* x) HWY_ATTR {
-            float most = -infinity;
-            for (int k = 0; k < group_size; k += W)
-                most = std::max(most, greatest_of(load(x + k), mask_of(among >> k & all_lanes)));
-            return most;
-        };
-        const float margin = shaft_.widening(), far = hi(rays.z);
-        const float* const x = rays.d[shaft_.axis(0)];
-        const float* const y = rays.d[shaft_.axis(1)];
-        return {{splat(lo(rays.u) - margin), splat(hi(rays.u) + margin), splat(lo(rays.v) - margin),
-                 splat(hi(rays.v) + margin), splat(far * (1 + 0x1p-20f))},
-                {{splat(lo(x)), splat(lo(y)), splat(lo(rays.z))},
-                 {splat(hi(x)), splat(hi(y)), splat(far)}}};
-    }
-
-    Ray ray(int g, int i) const { return {org_, 0, rays_.direction(g, i, from_world_), 1}; }
-
-    const SceneObject& object_;
-    std::uint32_t instance_;
-    const mat3* from_world_;
-    vec3 org_;
-    float reach_;
-    const ShadowRays& rays_;
     Alive& alive_;
     OccluderCache* cache_;
-    Shaft shaft_;
-    Bits known_rays_ = 0;
-    GroupRays group_rays_[W];
 };
 
 /// The same for all instances, each in its own space.
 class InstanceShadows {
 public:
-    InstanceShadows(const Scene& scene, const vec3& light, const ShadowRays& rays, Alive& alive,
+    InstanceShadows(const Scene& scene, const vec3& light, const PointRays& rays, Alive& alive,
                     OccluderCache* cache)
         : scene_(scene), light_(light), rays_(rays), alive_(alive), cache_(cache) {}
 
@@ -504,7 +361,7 @@ private:
 
     const Scene& scene_;
     const vec3& light_;
-    const ShadowRays& rays_;
+    const PointRays& rays_;
     Alive& alive_;
     OccluderCache* cache_;
     Shaft shaft_;
@@ -521,7 +378,7 @@ RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targ
             if (alive.rays[g]) alive.groups |= Bits(1) << g;
         }
         if (!alive.groups) continue;
-        const ShadowRays rays(light, targets, first);
+        const PointRays rays(light, targets, first);
         if (scene.single)
             ObjectShadows(scene.objects[0], 0, nullptr, light, rays, alive, cache)
                 .run(alive.groups);

@@ -231,12 +231,17 @@ struct Facets {
     alignas(64) float edge_slack[W];    ///< infinite where the origin lies in the plane
     alignas(64) float plane[3][W];      ///< the normal, away from the origin
     alignas(64) float before[W];  ///< with less than this a point surely lies on the origin's side
+    // Of segments:
     alignas(64) float beyond[W];  ///< with more than this surely on the other
+    // Of rays that do not end:
+    alignas(64) float plane_slack[W];  ///< how wrong n . (u, v, 1) may be
+    alignas(64) float nearest[W];      ///< no hit has a lesser z
 };
 
 /// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
 /// frustum keeps out, that do not have all of it on one side, and none of whose edges has. Fills
-/// `facets` for them.
+/// `facets` for them. Without `segments` the rays do not end.
+template <bool segments>
 HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s, const Boxes& ends,
                         Facets& facets) {
     Float p[3][3];  // [axis][corner]
@@ -274,27 +279,32 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
         extent = max3(extent, hn::Abs(e[k]), hn::Abs(f[k]));
     }
     Float origin = hn::Zero(lanes_tag), nearest = origin, farthest = origin;
-    Float error = origin, ends_error = origin;
+    Float error = origin, ends_error = origin, normal_size = origin;
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         const Float product = e[j] * f[i];
         n[k] = hn::MulSub(e[i], f[j], product);
         const Float n_size = hn::Abs(product) + hn::Abs(n[k]);
-        const Float lo = ends.lo[k] - p[k][0], hi = ends.hi[k] - p[k][0];
+        normal_size = normal_size + n_size;
+        error = hn::MulAdd(n_size, hn::Abs(p[k][0]), error);
         origin = hn::NegMulAdd(n[k], p[k][0], origin);
+        if (!segments) continue;
+        const Float lo = ends.lo[k] - p[k][0], hi = ends.hi[k] - p[k][0];
         nearest = nearest + hn::Min(n[k] * lo, n[k] * hi);
         farthest = farthest + hn::Max(n[k] * lo, n[k] * hi);
-        error = hn::MulAdd(n_size, hn::Abs(p[k][0]), error);
         ends_error = hn::MulAdd(n_size, hn::Max(hn::Abs(lo), hn::Abs(hi)), ends_error);
     }
     // What the double test may be wrong by is far less, whatever the triangle's shape.
     const Float least = splat(0x1p-40f * shaft.reach()) * extent * extent;
     error = hn::MulAdd(splat(0x1p-20f), error, least);
     ends_error = hn::MulAdd(splat(0x1p-20f), ends_error, error);
-    const Mask above = hn::And(origin > error, nearest > ends_error);
-    const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
-    const Bits cross_plane = met & ~bits(hn::Or(above, below));
-    if (!cross_plane) return 0;
+    Bits cross_plane = met;
+    if (segments) {
+        const Mask above = hn::And(origin > error, nearest > ends_error);
+        const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
+        cross_plane &= ~bits(hn::Or(above, below));
+        if (!cross_plane) return 0;
+    }
 
     // Bounds of the slopes, where all corners lie ahead.
     const Mask ahead = back > hn::Zero(lanes_tag);
@@ -314,10 +324,15 @@ HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s,
     const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
     store(edge_slack, facets.edge_slack);
     const Float height = hn::Abs(origin);
-    const Float plane_slack = hn::IfThenElse(known, ends_error, splat(infinity));
+    const Float plane_slack = hn::IfThenElse(known, segments ? ends_error : error, splat(infinity));
     store(height - plane_slack, facets.before);
-    // A hit needs t < 1 after rounding.
-    store(height + hn::Max(splat(0x1p-20f) * height, plane_slack), facets.beyond);
+    if (segments) {
+        // A hit needs t < 1 after rounding.
+        store(height + hn::Max(splat(0x1p-20f) * height, plane_slack), facets.beyond);
+    } else {
+        store(splat(0x1p-20f * shaft.steepest()) * normal_size, facets.plane_slack);
+        store(back - slack, facets.nearest);
+    }
     const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
     for (int k = 0; k < 3; ++k) store(towards * n[k], facets.plane[k]);
     Float most = splat(infinity);
@@ -426,6 +441,164 @@ private:
     float slack_;
     glm::dvec3 plane_;
     double height_, plane_slack_;
+};
+
+/// The rays of a chunk that are still to be traced.
+struct Alive {
+    alignas(64) Bits rays[W];  ///< of each group
+    Bits groups = 0;           ///< that have any
+
+    void block(int g, Bits blocked) {
+        rays[g] &= ~blocked;
+        if (!rays[g]) groups &= ~(Bits(1) << g);
+    }
+    /// The groups whose ray `i` lives.
+    HWY_INLINE Mask in_place(int i) const {
+        constexpr hn::RebindToUnsigned<decltype(lanes_tag)> tag;
+        return hn::RebindMask(lanes_tag,
+                              hn::TestBit(hn::Load(tag, rays), hn::Set(tag, Bits(1) << i)));
+    }
+    void block_groups(Bits blocked) {
+        for_each_bit(blocked, [&](int g) { rays[g] = 0; });
+        groups &= ~blocked;
+    }
+};
+
+/// W groups of rays from one origin to points.
+class PointRays {
+public:
+    PointRays(const vec3& origin, const Targets& targets, int first_group)
+        : origin_(origin), targets_(targets), first_(first_group) {}
+
+    vec3 direction(int g, int i, const mat3* from_world) const {
+        const vec3 d = targets_.point(std::size_t((first_ + g) * group_size + i)) - origin_;
+        return from_world ? *from_world * d : d;
+    }
+
+    /// The directions of W rays of group g, from ray `k`.
+    HWY_INLINE void directions(int g, int k, const mat3* from_world, Float (&d)[3]) const {
+        const int at = (first_ + g) * group_size + k;
+        for (int i = 0; i < 3; ++i) d[i] = load(targets_.p[i] + at) - splat(origin_[i]);
+        if (from_world) transform(*from_world, d);
+    }
+
+    /// The directions of ray `i` of every group.
+    HWY_INLINE void lanes(int i, const mat3* from_world, Float (&d)[3]) const {
+        for (int k = 0; k < 3; ++k)
+            d[k] = load(targets_.by_place[k][i] + first_) - splat(origin_[k]);
+        if (from_world) transform(*from_world, d);
+    }
+
+private:
+    /// In the order of Affine::vector, for the same bits.
+    static HWY_INLINE void transform(const mat3& m, Float (&d)[3]) {
+        const Float x = d[0], y = d[1], z = d[2];
+        for (int i = 0; i < 3; ++i)
+            d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
+    }
+
+    const vec3& origin_;
+    const Targets& targets_;
+    int first_;
+};
+
+/// One group of a shaft, ray by ray: made when the shaft must look at single rays.
+struct GroupRays {
+    alignas(64) float d[3][group_size];  ///< by scene axis, to where the rays end
+    alignas(64) float u[group_size], v[group_size], z[group_size];
+};
+
+/// The rays of a chunk against one object, in the object's space.
+class ObjectRays {
+protected:
+    ObjectRays(const SceneObject& object, std::uint32_t instance, const Affine* object_from_world,
+               const vec3& origin, const PointRays& rays)
+        : object_(object),
+          instance_(instance),
+          from_world_(object_from_world ? &object_from_world->linear : nullptr),
+          org_(object_from_world ? object_from_world->point(origin) : origin),
+          rays_(rays) {
+        const Box& b = object.tree.bounds;
+        reach_ = std::max(max_component(abs(b.lo - org_)), max_component(abs(b.hi - org_)));
+    }
+
+    /// A group is wide where its rays are this share of a box's extent apart.
+    static constexpr float wide = 1.0f / 8;
+    /// So narrow a shaft meets a box with all its groups or hardly at all.
+    static constexpr float narrow = 1.0f / 4;
+
+    HWY_INLINE void lanes(int i, Float (&d)[3]) const { rays_.lanes(i, from_world_, d); }
+    Ray ray(int g, int i, float tmax) const {
+        return {org_, 0, rays_.direction(g, i, from_world_), tmax};
+    }
+
+    const GroupRays& group_rays(int g) {
+        GroupRays& out = group_rays_[g];
+        if (known_rays_ >> g & 1) return out;
+        known_rays_ |= Bits(1) << g;
+        for (int k = 0; k < group_size; k += W) {
+            Float d[3];
+            rays_.directions(g, k, from_world_, d);
+            for (int i = 0; i < 3; ++i) store(d[i], out.d[i] + k);
+            const Float z = splat(shaft_.sign()) * d[shaft_.axis(2)];
+            const Float inv = splat(1) / z;
+            store(d[shaft_.axis(0)] * inv, out.u + k);
+            store(d[shaft_.axis(1)] * inv, out.v + k);
+            store(z, out.z + k);
+        }
+        return out;
+    }
+
+    struct GroupBounds {
+        Slopes slopes;
+        Boxes ends;
+    };
+
+    GroupBounds bounds_of(const GroupRays& rays, Bits among) const {
+        const auto lo = [&](const float* x) HWY_ATTR {
+            float least = infinity;
+            for (int k = 0; k < group_size; k += W)
+                least = std::min(least, least_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return least;
+        };
+        const auto hi = [&](const float* x) HWY_ATTR {
+            float most = -infinity;
+            for (int k = 0; k < group_size; k += W)
+                most = std::max(most, greatest_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return most;
+        };
+        const float margin = shaft_.widening(), far = hi(rays.z);
+        const float* const x = rays.d[shaft_.axis(0)];
+        const float* const y = rays.d[shaft_.axis(1)];
+        return {{splat(lo(rays.u) - margin), splat(hi(rays.u) + margin), splat(lo(rays.v) - margin),
+                 splat(hi(rays.v) + margin), splat(far * (1 + 0x1p-20f))},
+                {{splat(lo(x)), splat(lo(y)), splat(lo(rays.z))},
+                 {splat(hi(x)), splat(hi(y)), splat(far)}}};
+    }
+
+    HWY_INLINE Bits rays_that_meet(const GroupRays& rays, const Boxes& box) const {
+        const Float margin = splat(shaft_.widening()), longer = splat(1 + 0x1p-20f);
+        Bits reached = 0;
+        for (int k = 0; k < group_size; k += W) {
+            const Float u = load(rays.u + k), v = load(rays.v + k);
+            const Slopes s{u - margin, u + margin, v - margin, v + margin,
+                           load(rays.z + k) * longer};
+            reached |= bits(may_meet(box, s)) << k;
+        }
+        return reached;
+    }
+
+    const SceneObject& object_;
+    std::uint32_t instance_;
+    const mat3* from_world_;
+    vec3 org_;
+    float reach_;
+    const PointRays& rays_;
+    Shaft shaft_;
+
+private:
+    Bits known_rays_ = 0;
+    GroupRays group_rays_[W];
 };
 
 }  // namespace HWY_NAMESPACE
