@@ -19,26 +19,58 @@ namespace HWY_NAMESPACE {
 /// The closest hits of a chunk's rays so far, group by group.
 struct Closest {
     alignas(64) float t[chunk_size];  ///< zero for rays that there are not
-    float u[chunk_size], v[chunk_size];
-    std::uint32_t instance[chunk_size], triangle[chunk_size];
+    alignas(64) float u[chunk_size] = {};
+    alignas(64) float v[chunk_size] = {};
+    alignas(64) std::uint32_t instance[chunk_size];
+    alignas(64) std::uint32_t triangle[chunk_size] = {};
 
     explicit Closest(const Alive& alive) {
-        for (int i = 0; i < chunk_size; ++i) {
-            t[i] = alive.rays[i / group_size] >> (i % group_size) & 1 ? infinity : 0;
-            instance[i] = no_instance;
-        }
+        std::fill_n(instance, chunk_size, no_instance);
+        std::fill_n(t, chunk_size, infinity);
+        for (int g = 0; g < W; ++g)
+            for_each_bit(all_rays & ~alive.rays[g], [&](int i) { t[g * group_size + i] = 0; });
     }
     Hit hit(int i) const {
-        return instance[i] == no_instance ? Hit{} : Hit{t[i], u[i], v[i], instance[i], triangle[i]};
+        const bool found = instance[i] != no_instance;
+        return {found ? t[i] : infinity, u[i], v[i], instance[i], triangle[i]};
     }
     /// Takes the hit if it is closer, or as close and of lower ids.
     bool take(int i, const Hit& hit) {
-        if (!(hit.t < t[i] || (hit.t == t[i] && std::pair(hit.instance, hit.triangle) <
-                                                    std::pair(instance[i], triangle[i]))))
+        if (!(hit.t < t[i] || (hit.t == t[i] && hit.t < infinity && precedes(hit, i))))
             return false;
         t[i] = hit.t, u[i] = hit.u, v[i] = hit.v;
         instance[i] = hit.instance, triangle[i] = hit.triangle;
         return true;
+    }
+    /// The same for W rays from `first`; those that miss have a negative t.
+    HWY_INLINE bool take(Float t_new, Float u_new, Float v_new, std::uint32_t of_instance,
+                         std::uint32_t of_triangle, int first) {
+        constexpr hn::RebindToUnsigned<decltype(lanes_tag)> tag;
+        const Float t_old = load(t + first);
+        const Mask ahead = t_new > splat(0);
+        Mask closer = hn::And(ahead, t_new < t_old);
+        const Bits ties = bits(hn::And(ahead, t_new == t_old));
+        if (ties) {
+            Bits won = 0;
+            for_each_bit(ties, [&](int i) {
+                const Hit hit{0, 0, 0, of_instance, of_triangle};
+                if (precedes(hit, first + i)) won |= Bits(1) << i;
+            });
+            closer = hn::Or(closer, mask_of(won));
+        }
+        if (hn::AllFalse(lanes_tag, closer)) return false;
+        hn::BlendedStore(t_new, closer, lanes_tag, t + first);
+        hn::BlendedStore(u_new, closer, lanes_tag, u + first);
+        hn::BlendedStore(v_new, closer, lanes_tag, v + first);
+        const auto ids = hn::RebindMask(tag, closer);
+        hn::BlendedStore(hn::Set(tag, of_instance), ids, tag, instance + first);
+        hn::BlendedStore(hn::Set(tag, of_triangle), ids, tag, triangle + first);
+        return true;
+    }
+
+private:
+    bool precedes(const Hit& hit, int i) const {
+        return std::pair(hit.instance, hit.triangle) < std::pair(instance[i], triangle[i]);
     }
 };
 
@@ -76,37 +108,19 @@ public:
     HWY_INLINE bool test(const Block& block, int lane, std::uint32_t instance, Closest& best,
                          int at, int first) const {
         const float* const corners = &block.corners[0][0][0];
-        Double x[3], y[3];
-        double z[3];
-        double px[3], py[3];
+        double px[3], py[3], pz[3];
         for (int k = 0; k < 3; ++k) {
             const auto corner = [&](int axis) { return corners[(k * 3 + axes_[axis]) * W + lane]; };
-            px[k] = corner(0) - org_[0], py[k] = corner(1) - org_[1], z[k] = corner(2) - org_[2];
+            px[k] = corner(0) - org_[0], py[k] = corner(1) - org_[1], pz[k] = corner(2) - org_[2];
         }
-        bool any = false;
-        for (int i = first; i < first + W; i += half_width) {
-            const Double sx = hn::Load(tag, sx_ + i), sy = hn::Load(tag, sy_ + i);
-            Double width = set(0);
-            for (int k = 0; k < 3; ++k) {
-                x[k] = set(px[k]) - sx * set(z[k]);
-                y[k] = set(py[k]) - sy * set(z[k]);
-                width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
-            }
-            const Double u = x[2] * y[1] - y[2] * x[1];
-            const Double v = x[0] * y[2] - y[0] * x[2];
-            const Double w = x[1] * y[0] - y[1] * x[0];
-            const auto beside =
-                hn::And(hn::Min(u, hn::Min(v, w)) < set(0), hn::Max(u, hn::Max(v, w)) > set(0));
-            const Double det = u + v + w;
-            const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
-            const auto hits = hn::AndNot(beside, sound);
-            if (hn::AllFalse(tag, hits)) continue;
-            const Double scale = set(1) / det;
-            const Double t =
-                (u * set(z[0]) + v * set(z[1]) + w * set(z[2])) * (hn::Load(tag, sz_ + i) * scale);
-            any |= take(hits, t, v * scale, w * scale, block.ids[lane], instance, best, at + i);
-        }
-        return any;
+        Found halves[2];
+        for (int h = 0; h < 2; ++h) halves[h] = test_half(px, py, pz, first + h * half_width);
+        const auto both = [&](auto part) HWY_ATTR {
+            return hn::Combine(lanes_tag, hn::DemoteTo(half, halves[1].*part),
+                               hn::DemoteTo(half, halves[0].*part));
+        };
+        return best.take(both(&Found::t), both(&Found::u), both(&Found::v), instance,
+                         block.ids[lane], at + first);
     }
 
 private:
@@ -114,27 +128,42 @@ private:
     static constexpr hn::Rebind<float, hn::ScalableTag<double>> half{};
     using Double = hn::Vec<hn::ScalableTag<double>>;
     static constexpr int half_width = int(hn::MaxLanes(hn::ScalableTag<double>()));
+    static_assert(2 * half_width == W);
+
+    /// Hits of half as many rays, with a negative t where there are none.
+    struct Found {
+        Double t, u, v;
+    };
+
+    HWY_INLINE Found test_half(const double* px, const double* py, const double* pz, int i) const {
+        Double x[3], y[3];
+        const Double sx = hn::Load(tag, sx_ + i), sy = hn::Load(tag, sy_ + i);
+        Double width = set(0);
+        for (int k = 0; k < 3; ++k) {
+            x[k] = set(px[k]) - sx * set(pz[k]);
+            y[k] = set(py[k]) - sy * set(pz[k]);
+            width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+        }
+        const Double u = x[2] * y[1] - y[2] * x[1];
+        const Double v = x[0] * y[2] - y[0] * x[2];
+        const Double w = x[1] * y[0] - y[1] * x[0];
+        const auto beside =
+            hn::And(hn::Min(u, hn::Min(v, w)) < set(0), hn::Max(u, hn::Max(v, w)) > set(0));
+        const Double det = u + v + w;
+        const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
+        const auto hits = hn::AndNot(beside, sound);
+
+        const Double scale = set(1) / det;
+        const Double t =
+            (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) * (hn::Load(tag, sz_ + i) * scale);
+        // What float rounds to infinity is a miss.
+        const auto finite = hn::And(hits, t < set(0x1.ffffffp127));
+        return {hn::IfThenElse(finite, t, set(-1)), v * scale, w * scale};
+    }
 
     static HWY_INLINE Double set(double x) { return hn::Set(tag, x); }
     static HWY_INLINE Double promoted(const float* x) {
         return hn::PromoteTo(tag, hn::Load(half, x));
-    }
-
-    template <class M>
-    static HWY_INLINE bool take(M hits, Double t, Double u, Double v, std::uint32_t triangle,
-                                std::uint32_t instance, Closest& best, int at) {
-        alignas(64) float found_t[half_width], found_u[half_width], found_v[half_width];
-        hn::Store(hn::DemoteTo(half, t), half, found_t);
-        hn::Store(hn::DemoteTo(half, u), half, found_u);
-        hn::Store(hn::DemoteTo(half, v), half, found_v);
-        std::uint8_t bytes[8] = {};
-        hn::StoreMaskBits(tag, hits, bytes);
-        bool any = false;
-        for_each_bit(bytes[0], [&](int i) {
-            if (found_t[i] > 0 && found_t[i] < infinity)
-                any |= best.take(at + i, {found_t[i], found_u[i], found_v[i], instance, triangle});
-        });
-        return any;
     }
 
     int axes_[3];

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <bit>
 #include <span>
 
 #include "common/math.h"
@@ -32,30 +33,31 @@ struct Targets {
     alignas(64) float p[3][max_count] = {};
     /// The points again by their place in the group: [axis][place][group]. Places without a finite
     /// point repeat another of the group.
-    alignas(64) float by_place[3][group_size][max_groups] = {};
+    alignas(64) float by_place[3][group_size][max_groups];
 
 private:
-    void add_group(std::size_t g, std::span<const vec3> group);
+    void repair_group(std::size_t g);
 };
 
 inline Targets::Targets(std::span<const vec3> points) {
-    for (std::size_t g = 0; g < max_groups; ++g) {
-        const std::size_t first = g * group_size;
-        const auto group = points.subspan(std::min(first, points.size()))
-                               .first(std::min<std::size_t>(
-                                   group_size, points.size() - std::min(first, points.size())));
-        add_group(g, group);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        for (int k = 0; k < 3; ++k) p[k][i] = points[i][k];
+        if (is_finite(points[i])) set(finite, i);
     }
+    for (std::size_t g = 0; g < max_groups; ++g)
+        if (finite[g] != 0xffff) repair_group(g);
+    for (int k = 0; k < 3; ++k)
+        for (std::size_t i = 0; i < group_size; ++i)
+            for (std::size_t g = 0; g < max_groups; ++g)
+                by_place[k][i][g] = p[k][g * group_size + i];
 }
 
-inline void Targets::add_group(std::size_t g, std::span<const vec3> group) {
-    const auto sound =
-        std::ranges::find_if(group, [](const vec3& point) { return is_finite(point); });
-    for (std::size_t i = 0; i < group_size && sound != group.end(); ++i) {
-        const bool usable = i < group.size() && is_finite(group[i]);
-        if (usable) set(finite, g * group_size + i);
-        const vec3& point = usable ? group[i] : *sound;
-        for (int k = 0; k < 3; ++k) p[k][g * group_size + i] = by_place[k][i][g] = point[k];
+inline void Targets::repair_group(std::size_t g) {
+    const std::size_t first = g * group_size;
+    for (std::size_t i = first; i < first + group_size; ++i) {
+        const std::size_t sound = finite[g] ? first + std::size_t(std::countr_zero(finite[g])) : i;
+        for (int k = 0; k < 3; ++k)
+            if (!has(finite, i)) p[k][i] = finite[g] ? p[k][sound] : 0;
     }
 }
 
