@@ -202,33 +202,10 @@ public:
     }
 
 private:
-    struct Entry {
-        float z;
-        WideLink link;
-        Bits reached;  ///< groups or rays
-    };
-
-    /// Entries to visit, those pushed at a time in order of their z.
-    class Stack {
-    public:
-        bool pop(Entry& entry) { return top_ > 0 && (entry = entries_[--top_], true); }
-        void mark() { base_ = top_; }
-        void push(const Entry& entry) {
-            int place = top_++;
-            for (; place != base_ && entries_[place - 1].z < entry.z; --place)
-                entries_[place] = entries_[place - 1];
-            entries_[place] = entry;
-        }
-
-    private:
-        Entry entries_[wide_stack_size<W>];
-        int top_ = 0, base_ = 0;
-    };
-
     void walk(Bits carried) {
-        Stack stack;
+        NearestFirst stack;
         stack.push({0, WideLink::node(0), carried});
-        for (Entry entry; stack.pop(entry);) {
+        for (NearestFirst::Entry entry; stack.pop(entry);) {
             const Bits groups = entry.reached & bits(splat(entry.z) <= load(far_));
             if (!groups) continue;
             if (entry.link.is_leaf()) {
@@ -366,27 +343,65 @@ private:
     ExactGroup exact_[W];
 };
 
+/// The same in all instances, each in its own space.
+class InstanceClosest {
+public:
+    InstanceClosest(const Scene& scene, const vec3& origin, const PointRays& rays,
+                    const Alive& alive, Closest& best)
+        : scene_(scene), origin_(origin), rays_(rays), alive_(alive), best_(best) {}
+
+    Bits open() const { return alive_.groups; }
+    void visit(const WideInstance& instance, Bits groups) {
+        ObjectClosest(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+                      origin_, rays_, alive_, best_)
+            .run(groups);
+    }
+    void trace_singly(int g) {
+        for_each_bit(alive_.rays[g], [&](int i) {
+            const Ray ray{origin_, 0, rays_.direction(g, i, nullptr), infinity};
+            best_.take(g * group_size + i, trace<false>(scene_, ray));
+        });
+    }
+    /// Bounds the z of the closest hits of a group's rays.
+    float reach(int g, const Shaft& shaft) const {
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W) {
+            Float d[3];
+            rays_.directions(g, k, nullptr, d);
+            const Float t = load(best_.t + g * group_size + k);
+            const Float z = splat(shaft.sign()) * d[shaft.axis(2)];
+            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * z), far);
+        }
+        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+    }
+
+private:
+    const Scene& scene_;
+    const vec3& origin_;
+    const PointRays& rays_;
+    const Alive& alive_;
+    Closest& best_;
+};
+
 void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
                   std::span<Hit> hits) {
+    const vec3 zero(0);
     for (std::size_t start = 0; start < dirs.size(); start += chunk_size) {
         const std::size_t count = std::min<std::size_t>(chunk_size, dirs.size() - start);
         const Targets targets(dirs.subspan(start, count));
-        Alive alive;
-        for (int g = 0; g < W; ++g) {
-            alive.rays[g] = targets.finite[std::size_t(g)];
-            if (alive.rays[g]) alive.groups |= Bits(1) << g;
-        }
+        const PointRays rays(zero, targets, 0);
+        RayMask all;
+        all.fill(all_rays);
+        const Alive alive(all, targets, 0);
         Closest best(alive);
         if (scene.single) {
-            const vec3 zero(0);
-            ObjectClosest(scene.objects[0], 0, nullptr, origin, PointRays(zero, targets, 0), alive,
-                          best)
+            ObjectClosest(scene.objects[0], 0, nullptr, origin, rays, alive, best)
                 .run(alive.groups);
-            for (std::size_t i = 0; i < count; ++i) hits[start + i] = best.hit(int(i));
         } else {
-            for (std::size_t i = 0; i < count; ++i)
-                hits[start + i] = trace<false>(scene, {origin, 0, dirs[start + i], infinity});
+            InstanceClosest query(scene, origin, rays, alive, best);
+            trace_instances(scene, origin, rays, alive, query);
         }
+        for (std::size_t i = 0; i < count; ++i) hits[start + i] = best.hit(int(i));
     }
 }
 

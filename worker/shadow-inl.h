@@ -296,98 +296,45 @@ public:
                     OccluderCache* cache)
         : scene_(scene), light_(light), rays_(rays), alive_(alive), cache_(cache) {}
 
-    void run() {
-        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
-            rays_.lanes(i, nullptr, d);
-            return alive_.in_place(i);
-        };
-        const Box& b = scene_.top.bounds;
-        const float reach =
-            std::max(max_component(abs(b.lo - light_)), max_component(abs(b.hi - light_)));
-        for (Bits left = alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(light_, lanes, left, reach);
-            if (!carried) carried = shaft_.set(light_, lanes, left & (~left + 1), reach);
-            if (carried) {
-                walk(carried);
-            } else {
-                carried = left & (~left + 1);
-                trace_singly(std::countr_zero(left));
-            }
-            left &= ~carried;
-        }
-    }
-
-private:
-    void walk(Bits carried) {
-        struct Entry {
-            WideLink link;
-            Bits groups;
-        };
-        Entry stack[wide_stack_size<W>];
-        int top = 0;
-        stack[top++] = {WideLink::node(0), carried};
-        while (top > 0) {
-            const auto [link, of_entry] = stack[--top];
-            const Bits groups = of_entry & alive_.groups;
-            if (!groups) continue;
-            if (link.is_leaf()) {
-                for (const std::uint32_t item :
-                     std::span(&scene_.items[link.first()], link.count()))
-                    trace(scene_.instances[item], groups);
-                continue;
-            }
-            const Node& node = scene_.top.nodes[link.first()];
-            for_each_bit(bits(may_meet(shaft_.children(node), shaft_.chunk())),
-                         [&](int i) HWY_ATTR {
-                             const Bits reached =
-                                 groups & bits(may_meet(shaft_.child(node, i), shaft_.groups()));
-                             if (reached) stack[top++] = {node.children[i], reached};
-                         });
-        }
-    }
-
-    void trace(const WideInstance& instance, Bits groups) {
+    Bits open() const { return alive_.groups; }
+    void visit(const WideInstance& instance, Bits groups) {
         ObjectShadows(scene_.objects[instance.object], instance.id, &instance.object_from_world,
                       light_, rays_, alive_, cache_)
             .run(groups);
     }
-
     void trace_singly(int g) {
-        for_each_bit(alive_.rays[g], [&](int i) HWY_ATTR {
+        for_each_bit(alive_.rays[g], [&](int i) {
             const Ray ray{light_, 0, rays_.direction(g, i, nullptr), 1};
-            if (HWY_NAMESPACE::trace<true>(scene_, ray).valid()) alive_.block(g, Bits(1) << i);
+            if (trace<true>(scene_, ray).valid()) alive_.block(g, Bits(1) << i);
         });
     }
+    float reach(int g, const Shaft& shaft) const { return shaft.far(g); }
 
+private:
     const Scene& scene_;
     const vec3& light_;
     const PointRays& rays_;
     Alive& alive_;
     OccluderCache* cache_;
-    Shaft shaft_;
 };
 
 RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targets,
                       const RayMask& wanted, OccluderCache* cache) {
     RayMask blocked{};
     for (int first = 0; first < Targets::max_groups; first += W) {
-        Alive alive;
-        for (int g = 0; g < W; ++g) {
-            const auto i = std::size_t(first + g);
-            alive.rays[g] = wanted[i] & targets.finite[i];
-            if (alive.rays[g]) alive.groups |= Bits(1) << g;
-        }
-        if (!alive.groups) continue;
+        const Alive asked(wanted, targets, first);
+        if (!asked.groups) continue;
+        Alive alive = asked;
         const PointRays rays(light, targets, first);
-        if (scene.single)
+        if (scene.single) {
             ObjectShadows(scene.objects[0], 0, nullptr, light, rays, alive, cache)
                 .run(alive.groups);
-        else
-            InstanceShadows(scene, light, rays, alive, cache).run();
-        for (int g = 0; g < W; ++g) {
-            const auto i = std::size_t(first + g);
-            blocked[i] = std::uint16_t(wanted[i] & targets.finite[i] & ~alive.rays[g]);
+        } else {
+            InstanceShadows query(scene, light, rays, alive, cache);
+            trace_instances(scene, light, rays, alive, query);
         }
+        for (int g = 0; g < W; ++g)
+            blocked[std::size_t(first + g)] = std::uint16_t(asked.rays[g] & ~alive.rays[g]);
     }
     return blocked;
 }

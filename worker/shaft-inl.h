@@ -93,6 +93,8 @@ public:
     /// The groups' least and greatest slopes, u or v; and bounds of where their rays end.
     const float* slopes(int k, int hi) const { return groups_[2 * k + hi]; }
     const float* group_ends(int k, int hi) const { return group_ends_[k][hi]; }
+    /// The z where the longest ray of a group ends.
+    float far(int g) const { return groups_[4][g]; }
     /// How far the groups' rays stand apart at z = 1.
     Float spreads() const { return load(spread_); }
 
@@ -448,6 +450,15 @@ struct Alive {
     alignas(64) Bits rays[W];  ///< of each group
     Bits groups = 0;           ///< that have any
 
+    /// The `wanted` rays of the W groups from `first`, as far as their targets are finite.
+    Alive(const RayMask& wanted, const Targets& targets, int first) {
+        for (int g = 0; g < W; ++g) {
+            const auto i = std::size_t(first + g);
+            rays[g] = wanted[i] & targets.finite[i];
+            if (rays[g]) groups |= Bits(1) << g;
+        }
+    }
+
     void block(int g, Bits blocked) {
         rays[g] &= ~blocked;
         if (!rays[g]) groups &= ~(Bits(1) << g);
@@ -600,6 +611,111 @@ private:
     Bits known_rays_ = 0;
     GroupRays group_rays_[W];
 };
+
+/// Links to visit with the groups or rays that reach them, those pushed after a mark() in order of
+/// their z.
+class NearestFirst {
+public:
+    struct Entry {
+        float z;
+        WideLink link;
+        Bits reached;
+    };
+
+    bool pop(Entry& entry) { return top_ > 0 && (entry = entries_[--top_], true); }
+    void mark() { base_ = top_; }
+    void push(const Entry& entry) {
+        int place = top_++;
+        for (; place != base_ && entries_[place - 1].z < entry.z; --place)
+            entries_[place] = entries_[place - 1];
+        entries_[place] = entry;
+    }
+
+private:
+    Entry entries_[wide_stack_size<W>];
+    int top_ = 0, base_ = 0;
+};
+
+/// Takes rays of a chunk through the instances that they may meet, the nearest first. Of `query`
+/// open() tells the groups that are still to be traced; visit(instance, groups) traces them in an
+/// instance; trace_singly(group) traces its rays, which no shaft can hold, in the whole scene; and
+/// reach(group, shaft) bounds the z that still matter.
+template <class Query>
+class InstanceRays {
+public:
+    InstanceRays(const Scene& scene, const vec3& origin, const PointRays& rays, const Alive& alive,
+                 Query& query)
+        : scene_(scene), origin_(origin), rays_(rays), alive_(alive), query_(query) {}
+
+    void run() {
+        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
+            rays_.lanes(i, nullptr, d);
+            return alive_.in_place(i);
+        };
+        const Box& b = scene_.top.bounds;
+        const float reach =
+            std::max(max_component(abs(b.lo - origin_)), max_component(abs(b.hi - origin_)));
+        for (Bits left = query_.open(); left; left &= query_.open()) {
+            const Bits lowest = left & (~left + 1);
+            Bits carried = shaft_.set(origin_, living, left, reach);
+            if (!carried) carried = shaft_.set(origin_, living, lowest, reach);
+            if (carried) {
+                walk(carried);
+            } else {
+                carried = lowest;
+                query_.trace_singly(std::countr_zero(left));
+            }
+            left &= ~carried;
+        }
+    }
+
+private:
+    void walk(Bits carried) {
+        for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? query_.reach(g, shaft_) : 0;
+        NearestFirst stack;
+        stack.push({0, WideLink::node(0), carried});
+        for (NearestFirst::Entry entry; stack.pop(entry);) {
+            const Bits groups = entry.reached & query_.open() & bits(splat(entry.z) <= load(far_));
+            if (!groups) continue;
+            if (entry.link.is_leaf()) {
+                visit(entry.link, groups);
+                continue;
+            }
+            const Node& node = scene_.top.nodes[entry.link.first()];
+            const Boxes boxes = shaft_.children(node);
+            alignas(64) float start[W];
+            store(boxes.lo[2], start);
+            Slopes chunk = shaft_.chunk(), of_groups = shaft_.groups();
+            chunk.far = hn::MaxOfLanes(lanes_tag, load(far_));
+            of_groups.far = load(far_);
+            stack.mark();
+            for_each_bit(bits(may_meet(boxes, chunk)), [&](int i) HWY_ATTR {
+                const Bits reached = groups & bits(may_meet(shaft_.child(node, i), of_groups));
+                if (reached) stack.push({start[i], node.children[i], reached});
+            });
+        }
+    }
+
+    void visit(WideLink leaf, Bits groups) {
+        for (const std::uint32_t item : std::span(&scene_.items[leaf.first()], leaf.count()))
+            query_.visit(scene_.instances[item], groups);
+        for_each_bit(groups, [&](int g) { far_[g] = query_.reach(g, shaft_); });
+    }
+
+    const Scene& scene_;
+    const vec3& origin_;
+    const PointRays& rays_;
+    const Alive& alive_;
+    Query& query_;
+    Shaft shaft_;
+    alignas(64) float far_[W];
+};
+
+template <class Query>
+void trace_instances(const Scene& scene, const vec3& origin, const PointRays& rays,
+                     const Alive& alive, Query& query) {
+    InstanceRays<Query>(scene, origin, rays, alive, query).run();
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace tessera
