@@ -9,7 +9,6 @@
 #include <bit>
 #include <cstring>
 #include <memory>
-#include <mutex>
 
 #include "common/check.h"
 
@@ -132,8 +131,9 @@ struct Split {
 
 class Builder {
 public:
-    Builder(std::vector<BoxRef> refs, std::uint32_t leaf_size)
+    Builder(RawVector<BoxRef> refs, std::uint32_t leaf_size)
         : refs_(std::move(refs)),
+          scratch_(refs_.size()),
           leaf_size_(leaf_size),
           nodes_(std::make_unique_for_overwrite<BoxNode[]>(2 * refs_.size() + 1)) {}
 
@@ -215,22 +215,21 @@ private:
             return bins.of(load(ref))[split.axis] < split.bin;
         };
         if (range.size() > 2 * chunk_refs) return partition_chunks(range, is_below);
-        Range below, above;
-        std::size_t i = range.begin, end = range.end;
-        while (i < end) {
+        // Without a branch that depends on the side, which no processor could guess.
+        std::array<Range, 2> sides;
+        BoxRef* to[2] = {&refs_[range.begin], &scratch_[range.begin]};
+        for (std::size_t i = range.begin; i < range.end; ++i) {
             const BoxRef ref = refs_[i];
-            if (is_below(ref)) {
-                below.add(load(ref));
-                ++i;
-            } else {
-                above.add(load(ref));
-                refs_[i] = std::exchange(refs_[--end], ref);
-            }
+            const int side = is_below(ref) ? 0 : 1;
+            sides[side].add(load(ref));
+            *to[side]++ = ref;
         }
-        below.begin = range.begin;
-        below.end = above.begin = i;
-        above.end = range.end;
-        return {below, above};
+        const auto below = std::size_t(to[0] - refs_.data());
+        std::copy(&scratch_[range.begin], to[1], to[0]);
+        sides[0].begin = range.begin;
+        sides[0].end = sides[1].begin = below;
+        sides[1].end = range.end;
+        return sides;
     }
 
     /// In parallel: each chunk counts, and then moves its refs to where they go.
@@ -245,7 +244,6 @@ private:
         });
         std::size_t place = range.begin;
         for (std::size_t& p : places) p = std::exchange(place, place + p);
-        std::call_once(scratch_made_, [&] { scratch_.resize(refs_.size()); });
         for_chunks(range.begin, range.end, [&](std::size_t begin, std::size_t end) {
             // Of the refs before this chunk those that do not lie below lie above.
             std::size_t to_below = places[chunk_of(begin)];
@@ -282,18 +280,19 @@ private:
         Sum sum;
         if (end - begin <= chunk_refs) {
             add_all(begin, end, sum);
-            return sum;
+        } else {
+            sum = tbb::parallel_deterministic_reduce(
+                tbb::blocked_range(begin, end, chunk_refs), Sum(),
+                [&](const auto& part, Sum partial) {
+                    add_all(part.begin(), part.end(), partial);
+                    return partial;
+                },
+                [](Sum a, const Sum& b) {
+                    a.add(b);
+                    return a;
+                });
         }
-        return tbb::parallel_deterministic_reduce(
-            tbb::blocked_range(begin, end, chunk_refs), sum,
-            [&](const auto& part, Sum partial) {
-                add_all(part.begin(), part.end(), partial);
-                return partial;
-            },
-            [](Sum a, const Sum& b) {
-                a.add(b);
-                return a;
-            });
+        return sum;
     }
 
     template <class F>
@@ -305,9 +304,8 @@ private:
         });
     }
 
-    std::vector<BoxRef> refs_;
-    std::vector<BoxRef> scratch_;
-    std::once_flag scratch_made_;
+    RawVector<BoxRef> refs_;
+    RawVector<BoxRef> scratch_;
     std::uint32_t leaf_size_;
     std::unique_ptr<BoxNode[]> nodes_;
     std::atomic<std::uint32_t> next_node_ = 1;
@@ -315,7 +313,7 @@ private:
 
 }  // namespace
 
-BoxTree build_bvh(std::vector<BoxRef> refs, std::uint32_t leaf_size) {
+BoxTree build_bvh(RawVector<BoxRef> refs, std::uint32_t leaf_size) {
     CHECK(std::has_single_bit(leaf_size));
     CHECK(refs.size() < 1u << 30);
     return Builder(std::move(refs), leaf_size).run();

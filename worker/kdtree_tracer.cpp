@@ -26,14 +26,14 @@ Triangle triangle_of(const TracerObject& object, std::uint32_t i) {
 }
 
 /// Bounds of all triangles that can be hit.
-std::vector<BoxRef> triangle_refs(const TracerObject& object) {
+RawVector<BoxRef> triangle_refs(const TracerObject& object) {
     constexpr std::uint32_t none = ~0u;
-    std::vector<BoxRef> refs(object.triangles.size());
+    RawVector<BoxRef> refs(object.triangles.size());
     std::atomic<bool> complete = true;
     tbb::parallel_for(std::uint32_t(0), std::uint32_t(refs.size()), [&](std::uint32_t i) {
         const Triangle t = triangle_of(object, i);
         const bool sound = !is_degenerate(t);
-        refs[i] = {min(t.a, min(t.b, t.c)), sound ? i : none, max(t.a, max(t.b, t.c))};
+        refs[i] = {min(t.a, min(t.b, t.c)), sound ? i : none, max(t.a, max(t.b, t.c)), 0};
         if (!sound) complete = false;
     });
     if (!complete) std::erase_if(refs, [](const BoxRef& ref) { return ref.item == none; });
@@ -88,12 +88,12 @@ Box instance_bounds(const Box& object_bounds, const mat4& world_from_object) {
 
 BoxRef finite(const Box& box, std::uint32_t item) {
     const vec3 most(std::numeric_limits<float>::max());
-    return {clamp(box.lo, -most, most), item, clamp(box.hi, -most, most)};
+    return {clamp(box.lo, -most, most), item, clamp(box.hi, -most, most), 0};
 }
 
 /// Over boxes that are worth a lane each.
 template <int width>
-WideTree<width> top_tree(const std::vector<BoxRef>& refs) {
+WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
     std::vector<WideNode<width>> lowest;  // their lanes are the items
     const WideCosts costs{.node = 1, .block = 1, .block_size = width, .max_blocks = 1};
     const auto make_leaf = [&](std::span<const std::uint32_t> items) {
@@ -116,7 +116,7 @@ WideTree<width> top_tree(const std::vector<BoxRef>& refs) {
 
 template <int width>
 void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances) {
-    std::vector<BoxRef> refs;
+    RawVector<BoxRef> refs;
     for (std::uint32_t i = 0; i < instances.size(); ++i) {
         const auto inverse = inverse_affine(instances[i].world_from_object);
         if (!inverse) continue;
@@ -131,9 +131,9 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
     std::iota(scene.items.begin(), scene.items.end(), 0u);
 }
 
-template <class T>
-std::size_t heap_bytes(const std::vector<T>& values) {
-    return values.capacity() * sizeof(T);
+template <class Vector>
+std::size_t heap_bytes(const Vector& values) {
+    return values.capacity() * sizeof(typename Vector::value_type);
 }
 
 template <int width>

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "worker/affine.h"
+#include "worker/raw_vector.h"
 #include "worker/triangle.h"
 #include "worker/wide_tree.h"
 
@@ -11,7 +12,7 @@ namespace tessera {
 template <int width>
 struct WideObject {
     WideTree<width> tree;
-    std::vector<TriangleBlock<width>> blocks;
+    RawVector<TriangleBlock<width>> blocks;
 };
 
 struct WideInstance {
