@@ -4,14 +4,9 @@
 #pragma once
 
 #include "worker/tracer.h"
+#include "worker/wide_scene.h"
 
 namespace tessera {
-
-/// What makes the objects' trees.
-enum class TreeBuilder : std::uint8_t {
-    bvh,     ///< worker/bvh.h
-    kdtree,  ///< worker/kdtree.h: slow to build, and often there twice, but it splits space
-};
 
 std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> objects,
                                             std::span<const TracerInstance> instances, int threads,
