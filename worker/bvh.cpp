@@ -70,23 +70,23 @@ struct Range {
     }
 };
 
-constexpr int max_bins = 32;
+// More are better than fewer, and cost no time that shows.
+constexpr int bin_count = 32;
 
 /// Maps centres to bins, equally wide between the outermost centres.
 class Bins {
 public:
-    Bins(const Range& range, int count) : count_(count), lo_(range.centres.lo) {
+    explicit Bins(const Range& range) : lo_(range.centres.lo) {
         constexpr float largest = std::numeric_limits<float>::max();
         const Float4 extent = range.centres.hi - lo_;
         for (int k = 0; k < 3; ++k) {
-            // A little less than `count`, so that rounding leads to none beyond the last.
-            const float scale = 0.9999f * float(count) / extent[k];
+            // A little less, so that rounding leads to none beyond the last.
+            const float scale = 0.9999f * float(bin_count) / extent[k];
             if (extent[k] > 0 && scale <= largest) scale_[k] = scale;
             finite_ = finite_ && extent[k] <= largest;
         }
     }
 
-    int count() const { return count_; }
     /// Else nothing is.
     bool finite() const { return finite_; }
     bool usable(int axis) const { return scale_[axis] > 0; }
@@ -96,15 +96,14 @@ public:
     }
 
 private:
-    int count_;
     Float4 lo_;
     Float4 scale_ = splat(0);
     bool finite_ = true;
 };
 
 struct Histogram {
-    Box4 boxes[3][max_bins];
-    std::uint32_t counts[3][max_bins] = {};
+    Box4 boxes[3][bin_count];
+    std::uint32_t counts[3][bin_count] = {};
 
     void add(const Bins& bins, const BoxRef& ref) {
         const Box4 box = load(ref);
@@ -116,7 +115,7 @@ struct Histogram {
     }
     void add(const Histogram& other) {
         for (int k = 0; k < 3; ++k)
-            for (int i = 0; i < max_bins; ++i) {
+            for (int i = 0; i < bin_count; ++i) {
                 boxes[k][i].add(other.boxes[k][i]);
                 counts[k][i] += other.counts[k][i];
             }
@@ -170,34 +169,29 @@ private:
     }
 
     std::array<Range, 2> divide(const Range& range, int depth) {
-        const Bins bins(range, range.size() < 1024 ? 16 : max_bins);
-        const Split split =
-            depth < deep_enough && bins.finite() ? best_split(bins, range) : Split{};
+        const Bins bins(range);
+        if (depth >= deep_enough || !bins.finite()) return halve(range);
+        const Histogram sums = reduce<Histogram>(
+            range.begin, range.end, [&](Histogram& h, const BoxRef& ref) { h.add(bins, ref); });
+        Split split;
+        for (int axis = 0; axis < 3; ++axis)
+            if (bins.usable(axis)) weigh(sums, axis, split);
         return split.axis >= 0 ? partition(range, bins, split) : halve(range);
     }
 
-    Split best_split(const Bins& bins, const Range& range) const {
-        const Histogram histogram = reduce<Histogram>(
-            range.begin, range.end, [&](Histogram& h, const BoxRef& ref) { h.add(bins, ref); });
-        Split best;
-        for (int axis = 0; axis < 3; ++axis)
-            if (bins.usable(axis)) weigh(histogram, bins.count(), axis, best);
-        return best;
-    }
-
     /// Takes the axis' cheapest split into `best` if it is cheaper.
-    void weigh(const Histogram& histogram, int bins, int axis, Split& best) const {
-        float above_cost[max_bins];
+    void weigh(const Histogram& histogram, int axis, Split& best) const {
+        float above_cost[bin_count];
         Box4 box;
         std::uint32_t count = 0;
-        for (int i = bins - 1; i > 0; --i) {
+        for (int i = bin_count - 1; i > 0; --i) {
             box.add(histogram.boxes[axis][i]);
             count += histogram.counts[axis][i];
             above_cost[i] = count > 0 ? box.area() * float(blocks(count)) : infinity;
         }
         box = {};
         count = 0;
-        for (int i = 1; i < bins; ++i) {
+        for (int i = 1; i < bin_count; ++i) {
             box.add(histogram.boxes[axis][i - 1]);
             count += histogram.counts[axis][i - 1];
             if (count == 0) continue;
