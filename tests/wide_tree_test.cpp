@@ -16,6 +16,7 @@ namespace tessera {
 namespace {
 
 constexpr int width = 8;
+constexpr BvhConfig config{.block_size = width, .leaf_size = width};
 
 BoxRef ref_of(const Box& box, std::uint32_t item) { return {box.lo, item, box.hi, 0}; }
 Box box_of(const BoxRef& ref) { return {ref.lo, ref.hi}; }
@@ -73,7 +74,7 @@ int visit_leaves(const Collapsed& wide, std::uint32_t node, const Box& parent, F
 
 /// Every item lies in one leaf, and every box fits what is in it.
 void expect_sound(const RawVector<BoxRef>& refs) {
-    const BoxTree tree = build_bvh(refs, width);
+    const BoxTree tree = build_bvh(refs, config);
     const Collapsed wide = collapsed(tree);
     std::vector<int> seen(refs.size());
     std::size_t largest = 0;
@@ -142,7 +143,7 @@ TEST(Bvh, IsTheSameForAnyNumberOfThreads) {
     // Large enough for tasks and for chunks.
     const RawVector<BoxRef> refs = refs_of(soup_mesh(100'000, 0.02f));
     const auto build = [&](int threads) {
-        return tbb::task_arena(threads).execute([&] { return collapsed(build_bvh(refs, width)); });
+        return tbb::task_arena(threads).execute([&] { return collapsed(build_bvh(refs, config)); });
     };
     const Collapsed one = build(1);
     for (const int threads : {2, 7}) {
@@ -156,7 +157,7 @@ TEST(Bvh, IsTheSameForAnyNumberOfThreads) {
 }
 
 TEST(Bvh, FillsLeavesAndLanes) {
-    const Collapsed wide = collapsed(build_bvh(refs_of(sphere_mesh(100, 103, 1)), width));
+    const Collapsed wide = collapsed(build_bvh(refs_of(sphere_mesh(100, 103, 1)), config));
     std::size_t items = 0;
     for (const auto& leaf : wide.leaves) items += leaf.size();
     EXPECT_GT(double(items), 0.75 * width * double(wide.leaves.size()));

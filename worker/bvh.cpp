@@ -6,7 +6,6 @@
 
 #include <array>
 #include <atomic>
-#include <bit>
 #include <cstring>
 #include <memory>
 
@@ -70,18 +69,15 @@ struct Range {
     }
 };
 
-// More are better than fewer, and cost no time that shows.
-constexpr int bin_count = 32;
-
 /// Maps centres to bins, equally wide between the outermost centres.
 class Bins {
 public:
-    explicit Bins(const Range& range) : lo_(range.centres.lo) {
+    Bins(const Range& range, int count) : lo_(range.centres.lo) {
         constexpr float largest = std::numeric_limits<float>::max();
         const Float4 extent = range.centres.hi - lo_;
         for (int k = 0; k < 3; ++k) {
             // A little less, so that rounding leads to none beyond the last.
-            const float scale = 0.9999f * float(bin_count) / extent[k];
+            const float scale = 0.9999f * float(count) / extent[k];
             if (extent[k] > 0 && scale <= largest) scale_[k] = scale;
             finite_ = finite_ && extent[k] <= largest;
         }
@@ -101,6 +97,7 @@ private:
     bool finite_ = true;
 };
 
+template <int bin_count>
 struct Histogram {
     Box4 boxes[3][bin_count];
     std::uint32_t counts[3][bin_count] = {};
@@ -128,12 +125,37 @@ struct Split {
     float cost = infinity;
 };
 
+/// What a ray pays, about, that enters a box of so many items. Less than proportional: it will miss
+/// most of them. Of the powers from 1/2 to 1 those around 3/4 make the fastest trees. A block that
+/// is not full is cheaper than one that is, if not by what it lacks: it is small.
+class SearchCosts {
+public:
+    explicit SearchCosts(std::uint32_t block_size) : block_size_(block_size) {
+        for (std::uint32_t i = 0; i < few_.size(); ++i) few_[i] = cost(i);
+    }
+
+    float operator()(std::uint32_t items) const {
+        return items < few_.size() ? few_[items] : cost(items);
+    }
+
+private:
+    float cost(std::uint32_t items) const {
+        const std::uint32_t blocks = (items + block_size_ - 1) / block_size_;
+        const float mean = 0.5f * (float(blocks * block_size_) + float(items));
+        return std::sqrt(mean * std::sqrt(mean));
+    }
+
+    std::uint32_t block_size_;
+    std::array<float, 512> few_;  ///< roots take time
+};
+
 class Builder {
 public:
-    Builder(RawVector<BoxRef> refs, std::uint32_t leaf_size)
+    Builder(RawVector<BoxRef> refs, const BvhConfig& config)
         : refs_(std::move(refs)),
           scratch_(refs_.size()),
-          leaf_size_(leaf_size),
+          leaf_size_(config.leaf_size),
+          costs_(config.block_size),
           nodes_(std::make_unique_for_overwrite<BoxNode[]>(2 * refs_.size() + 1)) {}
 
     BoxTree run() {
@@ -152,6 +174,8 @@ private:
     // Where tasks are worth their while. Decides who builds; what is built is the same either way.
     static constexpr std::size_t task_refs = 1024;
     static constexpr std::size_t chunk_refs = 1 << 14;
+    // Fewer bins build them sooner, and better ones do not show.
+    static constexpr std::size_t few_refs = 256;
     // Below come at most 28 levels of halves.
     static constexpr int deep_enough = 64;
 
@@ -169,10 +193,17 @@ private:
     }
 
     std::array<Range, 2> divide(const Range& range, int depth) {
-        const Bins bins(range);
-        if (depth >= deep_enough || !bins.finite()) return halve(range);
-        const Histogram sums = reduce<Histogram>(
-            range.begin, range.end, [&](Histogram& h, const BoxRef& ref) { h.add(bins, ref); });
+        if (depth >= deep_enough) return halve(range);
+        return range.size() < few_refs ? divide<16>(range) : divide<32>(range);
+    }
+
+    template <int bin_count>
+    std::array<Range, 2> divide(const Range& range) {
+        using Sums = Histogram<bin_count>;
+        const Bins bins(range, bin_count);
+        if (!bins.finite()) return halve(range);
+        const auto sums = reduce<Sums>(range.begin, range.end,
+                                       [&](Sums& h, const BoxRef& ref) { h.add(bins, ref); });
         Split split;
         for (int axis = 0; axis < 3; ++axis)
             if (bins.usable(axis)) weigh(sums, axis, split);
@@ -180,28 +211,30 @@ private:
     }
 
     /// Takes the axis' cheapest split into `best` if it is cheaper.
-    void weigh(const Histogram& histogram, int axis, Split& best) const {
-        float above_cost[bin_count];
+    template <int bin_count>
+    void weigh(const Histogram<bin_count>& histogram, int axis, Split& best) const {
+        const Box4* const boxes = histogram.boxes[axis];
+        const std::uint32_t* const counts = histogram.counts[axis];
+        float above_cost[bin_count + 1];
+        above_cost[bin_count] = infinity;  // all below is no split
         Box4 box;
         std::uint32_t count = 0;
         for (int i = bin_count - 1; i > 0; --i) {
-            box.add(histogram.boxes[axis][i]);
-            count += histogram.counts[axis][i];
-            above_cost[i] = count > 0 ? box.area() * float(blocks(count)) : infinity;
+            above_cost[i] = above_cost[i + 1];
+            if (counts[i] == 0) continue;
+            box.add(boxes[i]);
+            count += counts[i];
+            above_cost[i] = box.area() * costs_(count);
         }
         box = {};
         count = 0;
-        for (int i = 1; i < bin_count; ++i) {
-            box.add(histogram.boxes[axis][i - 1]);
-            count += histogram.counts[axis][i - 1];
-            if (count == 0) continue;
-            const float cost = box.area() * float(blocks(count)) + above_cost[i];
-            if (cost < best.cost) best = {axis, i, cost};
+        for (int i = 0; i + 1 < bin_count; ++i) {
+            if (counts[i] == 0) continue;
+            box.add(boxes[i]);
+            count += counts[i];
+            const float cost = box.area() * costs_(count) + above_cost[i + 1];
+            if (cost < best.cost) best = {axis, i + 1, cost};
         }
-    }
-
-    std::uint32_t blocks(std::uint32_t items) const {
-        return (items + leaf_size_ - 1) >> std::countr_zero(leaf_size_);
     }
 
     std::array<Range, 2> partition(const Range& range, const Bins& bins, const Split& split) {
@@ -301,16 +334,17 @@ private:
     RawVector<BoxRef> refs_;
     RawVector<BoxRef> scratch_;
     std::uint32_t leaf_size_;
+    SearchCosts costs_;
     std::unique_ptr<BoxNode[]> nodes_;
     std::atomic<std::uint32_t> next_node_ = 1;
 };
 
 }  // namespace
 
-BoxTree build_bvh(RawVector<BoxRef> refs, std::uint32_t leaf_size) {
-    CHECK(std::has_single_bit(leaf_size));
+BoxTree build_bvh(RawVector<BoxRef> refs, const BvhConfig& config) {
+    CHECK(config.leaf_size > 0);
     CHECK(refs.size() < 1u << 30);
-    return Builder(std::move(refs), leaf_size).run();
+    return Builder(std::move(refs), config).run();
 }
 
 }  // namespace tessera

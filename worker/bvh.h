@@ -18,9 +18,13 @@ struct alignas(16) BoxRef {
 };
 static_assert(sizeof(BoxRef) == 32);
 
-/// Builds a tree in parallel on the caller's oneTBB arena; the same bits for any number of threads.
-/// Leaves hold up to `leaf_size` items, a power of two, and tend to be full: a part-filled SIMD
-/// block costs what a full one does.
-BoxTree build_bvh(RawVector<BoxRef> refs, std::uint32_t leaf_size);
+struct BvhConfig {
+    std::uint32_t block_size = 1;  ///< items that are tested at once: splits leave full blocks
+    std::uint32_t leaf_size = 1;   ///< what holds no more is not split
+};
+
+/// Builds a tree in parallel on the caller's oneTBB arena. It is the same for any number of
+/// threads, but for the order in which its nodes lie.
+BoxTree build_bvh(RawVector<BoxRef> refs, const BvhConfig& config);
 
 }  // namespace tessera

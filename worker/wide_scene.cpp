@@ -75,7 +75,8 @@ WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
         lowest.push_back(node);
         return WideLink::leaf(std::uint32_t(lowest.size()) - 1, 1);
     };
-    WideTree<width> tree = collapse<width>(build_bvh(refs, width), costs, make_leaf);
+    WideTree<width> tree = collapse<width>(
+        build_bvh(refs, {.block_size = width, .leaf_size = width}), costs, make_leaf);
     const auto offset = std::uint32_t(tree.nodes.size());
     for (WideNode<width>& node : tree.nodes)
         for (WideLink& link : node.children)
@@ -88,12 +89,14 @@ WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
 
 template <int width>
 WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) {
-    const BoxTree tree = builder == TreeBuilder::bvh ? build_bvh(triangle_refs(object), width)
-                                                     : kd_boxes(object, width);
+    const BoxTree tree =
+        builder == TreeBuilder::bvh
+            ? build_bvh(triangle_refs(object), {.block_size = width, .leaf_size = width / 2})
+            : kd_boxes(object, width);
     WideObject<width> out;
     constexpr std::uint32_t none = ~0u;
     std::vector<std::uint32_t> lanes;  // of all blocks
-    out.tree = collapse<width>(tree, {.node = 1, .block = 1, .block_size = width},
+    out.tree = collapse<width>(tree, {.node = 1, .block = 2, .block_size = width},
                                [&](std::span<const std::uint32_t> items) {
                                    const auto first = std::uint32_t(lanes.size() / width);
                                    lanes.insert(lanes.end(), items.begin(), items.end());
