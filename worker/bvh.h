@@ -1,7 +1,16 @@
-// The builder for trees that are wanted at once: a bounding volume hierarchy by the surface area
-// heuristic over bins.
+// The builder of our trees: a binary hierarchy of boxes by the surface area heuristic over bins.
 //
-// Wald, "On fast Construction of SAH-based Bounding Volume Hierarchies" (2007).
+// Wald, "On fast Construction of SAH-based Bounding Volume Hierarchies" (2007). We differ in what
+// the heuristic counts (bvh.cpp): SIMD blocks beside triangles, and to a power below one.
+//
+// Collapsed to 16-wide nodes it makes faster trees than the thesis's kd-tree (worker/kdtree.h), in
+// a sixth of the time and half the memory. In office, building and conference, traced as one
+// object: bounce rays gain 25, 48 and 14 %, incoherent occlusion 30, 46 and 50 %, primary rays 22,
+// 2 and 12 %, VPL shadow rays 7, 0 and 10 % (the one loss: these in building on 8 and 4 lanes, by
+// 10 and 19 %). Wide nodes tell apart what overlaps, and each copy that a spatial split makes is
+// met again. Cutting large triangles beforehand (Karras and Aila, "Fast Parallel Construction of
+// High-Quality Bounding Volume Hierarchies", 2013) lost too: 10 % more boxes cost 14 to 21 % of the
+// speed.
 #pragma once
 
 #include "worker/box_tree.h"

@@ -36,8 +36,8 @@ struct WideScene {
 
 /// What makes the objects' trees.
 enum class TreeBuilder : std::uint8_t {
-    bvh,     ///< worker/bvh.h
-    kdtree,  ///< worker/kdtree.h
+    bvh,     ///< worker/bvh.h: the default
+    kdtree,  ///< worker/kdtree.h: the thesis's, to be measured
 };
 
 /// Builds the tree of one object, in parallel on the caller's oneTBB arena.
