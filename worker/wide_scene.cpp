@@ -142,6 +142,7 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
         refs[count].item = count;
         scene.instances[count++] = scene.instances[i];
     }
+    CHECK(count <= WideLink::max_first);
     refs.resize(count);
     scene.instances.resize(count);
     scene.top = top_tree<width>(refs);
