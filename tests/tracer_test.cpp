@@ -13,6 +13,7 @@
 #include "worker/affine.h"
 #include "worker/bench/judge.h"
 #include "worker/bench/tracer_scenes.h"
+#include "worker/kdtree_tracer.h"
 #include "worker/triangle.h"
 
 namespace tessera {
@@ -89,12 +90,11 @@ Tally compare_with_embree(const TestScene& scene, int count) {
     return tally;
 }
 
-TEST_P(TracerTest, EqualsBruteForceBitForBit) {
-    const TestScene& scene = GetParam();
-    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
+void expect_brute_force(const TestScene& scene, TreeBuilder builder, int rays) {
+    const auto tracer = build_kdtree_tracer(scene.objects(), scene.instances, 1, builder);
     RayMaker maker(scene, tracer->bounds(), 7);
     for (int kind = 0; kind < RayMaker::kinds; ++kind)
-        for (int i = 0; i < 1500; ++i) {
+        for (int i = 0; i < rays; ++i) {
             const Ray ray = maker.ray(kind);
             const Hit expected = brute_force(scene, ray);
             const Hit hit = tracer->closest_hit(ray);
@@ -104,6 +104,11 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
                 << " instance " << expected.instance << " triangle " << expected.triangle;
             ASSERT_EQ(tracer->occluded(ray), expected.valid());
         }
+}
+
+TEST_P(TracerTest, EqualsBruteForceBitForBit) {
+    expect_brute_force(GetParam(), TreeBuilder::bvh, 1500);
+    expect_brute_force(GetParam(), TreeBuilder::kdtree, 300);
 }
 
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.

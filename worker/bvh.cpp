@@ -6,10 +6,8 @@
 
 #include <array>
 #include <atomic>
-#include <bit>
 #include <cstring>
 #include <memory>
-#include <mutex>
 
 #include "common/check.h"
 
@@ -71,23 +69,20 @@ struct Range {
     }
 };
 
-constexpr int max_bins = 32;
-
 /// Maps centres to bins, equally wide between the outermost centres.
 class Bins {
 public:
-    Bins(const Range& range, int count) : count_(count), lo_(range.centres.lo) {
+    Bins(const Range& range, int count) : lo_(range.centres.lo) {
         constexpr float largest = std::numeric_limits<float>::max();
         const Float4 extent = range.centres.hi - lo_;
         for (int k = 0; k < 3; ++k) {
-            // A little less than `count`, so that rounding leads to none beyond the last.
+            // A little less, so that rounding leads to none beyond the last.
             const float scale = 0.9999f * float(count) / extent[k];
             if (extent[k] > 0 && scale <= largest) scale_[k] = scale;
             finite_ = finite_ && extent[k] <= largest;
         }
     }
 
-    int count() const { return count_; }
     /// Else nothing is.
     bool finite() const { return finite_; }
     bool usable(int axis) const { return scale_[axis] > 0; }
@@ -97,15 +92,15 @@ public:
     }
 
 private:
-    int count_;
     Float4 lo_;
     Float4 scale_ = splat(0);
     bool finite_ = true;
 };
 
+template <int bin_count>
 struct Histogram {
-    Box4 boxes[3][max_bins];
-    std::uint32_t counts[3][max_bins] = {};
+    Box4 boxes[3][bin_count];
+    std::uint32_t counts[3][bin_count] = {};
 
     void add(const Bins& bins, const BoxRef& ref) {
         const Box4 box = load(ref);
@@ -117,7 +112,7 @@ struct Histogram {
     }
     void add(const Histogram& other) {
         for (int k = 0; k < 3; ++k)
-            for (int i = 0; i < max_bins; ++i) {
+            for (int i = 0; i < bin_count; ++i) {
                 boxes[k][i].add(other.boxes[k][i]);
                 counts[k][i] += other.counts[k][i];
             }
@@ -130,11 +125,37 @@ struct Split {
     float cost = infinity;
 };
 
+/// What a ray pays, about, that enters a box of so many items. Less than proportional: it will miss
+/// most of them. Of the powers from 1/2 to 1 those around 3/4 make the fastest trees. A block that
+/// is not full is cheaper than one that is, if not by what it lacks: it is small.
+class SearchCosts {
+public:
+    explicit SearchCosts(std::uint32_t block_size) : block_size_(block_size) {
+        for (std::uint32_t i = 0; i < few_.size(); ++i) few_[i] = cost(i);
+    }
+
+    float operator()(std::uint32_t items) const {
+        return items < few_.size() ? few_[items] : cost(items);
+    }
+
+private:
+    float cost(std::uint32_t items) const {
+        const std::uint32_t blocks = (items + block_size_ - 1) / block_size_;
+        const float mean = 0.5f * (float(blocks * block_size_) + float(items));
+        return std::sqrt(mean * std::sqrt(mean));
+    }
+
+    std::uint32_t block_size_;
+    std::array<float, 512> few_;  ///< roots take time
+};
+
 class Builder {
 public:
-    Builder(std::vector<BoxRef> refs, std::uint32_t leaf_size)
+    Builder(RawVector<BoxRef> refs, const BvhConfig& config)
         : refs_(std::move(refs)),
-          leaf_size_(leaf_size),
+          scratch_(refs_.size()),
+          leaf_size_(config.leaf_size),
+          costs_(config.block_size),
           nodes_(std::make_unique_for_overwrite<BoxNode[]>(2 * refs_.size() + 1)) {}
 
     BoxTree run() {
@@ -153,6 +174,8 @@ private:
     // Where tasks are worth their while. Decides who builds; what is built is the same either way.
     static constexpr std::size_t task_refs = 1024;
     static constexpr std::size_t chunk_refs = 1 << 14;
+    // Fewer bins build them sooner, and better ones do not show.
+    static constexpr std::size_t few_refs = 256;
     // Below come at most 28 levels of halves.
     static constexpr int deep_enough = 64;
 
@@ -170,44 +193,48 @@ private:
     }
 
     std::array<Range, 2> divide(const Range& range, int depth) {
-        const Bins bins(range, range.size() < 1024 ? 16 : max_bins);
-        const Split split =
-            depth < deep_enough && bins.finite() ? best_split(bins, range) : Split{};
+        if (depth >= deep_enough) return halve(range);
+        return range.size() < few_refs ? divide<16>(range) : divide<32>(range);
+    }
+
+    template <int bin_count>
+    std::array<Range, 2> divide(const Range& range) {
+        using Sums = Histogram<bin_count>;
+        const Bins bins(range, bin_count);
+        if (!bins.finite()) return halve(range);
+        const auto sums = reduce<Sums>(range.begin, range.end,
+                                       [&](Sums& h, const BoxRef& ref) { h.add(bins, ref); });
+        Split split;
+        for (int axis = 0; axis < 3; ++axis)
+            if (bins.usable(axis)) weigh(sums, axis, split);
         return split.axis >= 0 ? partition(range, bins, split) : halve(range);
     }
 
-    Split best_split(const Bins& bins, const Range& range) const {
-        const Histogram histogram = reduce<Histogram>(
-            range.begin, range.end, [&](Histogram& h, const BoxRef& ref) { h.add(bins, ref); });
-        Split best;
-        for (int axis = 0; axis < 3; ++axis)
-            if (bins.usable(axis)) weigh(histogram, bins.count(), axis, best);
-        return best;
-    }
-
     /// Takes the axis' cheapest split into `best` if it is cheaper.
-    void weigh(const Histogram& histogram, int bins, int axis, Split& best) const {
-        float above_cost[max_bins];
+    template <int bin_count>
+    void weigh(const Histogram<bin_count>& histogram, int axis, Split& best) const {
+        const Box4* const boxes = histogram.boxes[axis];
+        const std::uint32_t* const counts = histogram.counts[axis];
+        float above_cost[bin_count + 1];
+        above_cost[bin_count] = infinity;  // all below is no split
         Box4 box;
         std::uint32_t count = 0;
-        for (int i = bins - 1; i > 0; --i) {
-            box.add(histogram.boxes[axis][i]);
-            count += histogram.counts[axis][i];
-            above_cost[i] = count > 0 ? box.area() * float(blocks(count)) : infinity;
+        for (int i = bin_count - 1; i > 0; --i) {
+            above_cost[i] = above_cost[i + 1];
+            if (counts[i] == 0) continue;
+            box.add(boxes[i]);
+            count += counts[i];
+            above_cost[i] = box.area() * costs_(count);
         }
         box = {};
         count = 0;
-        for (int i = 1; i < bins; ++i) {
-            box.add(histogram.boxes[axis][i - 1]);
-            count += histogram.counts[axis][i - 1];
-            if (count == 0) continue;
-            const float cost = box.area() * float(blocks(count)) + above_cost[i];
-            if (cost < best.cost) best = {axis, i, cost};
+        for (int i = 0; i + 1 < bin_count; ++i) {
+            if (counts[i] == 0) continue;
+            box.add(boxes[i]);
+            count += counts[i];
+            const float cost = box.area() * costs_(count) + above_cost[i + 1];
+            if (cost < best.cost) best = {axis, i + 1, cost};
         }
-    }
-
-    std::uint32_t blocks(std::uint32_t items) const {
-        return (items + leaf_size_ - 1) >> std::countr_zero(leaf_size_);
     }
 
     std::array<Range, 2> partition(const Range& range, const Bins& bins, const Split& split) {
@@ -215,22 +242,21 @@ private:
             return bins.of(load(ref))[split.axis] < split.bin;
         };
         if (range.size() > 2 * chunk_refs) return partition_chunks(range, is_below);
-        Range below, above;
-        std::size_t i = range.begin, end = range.end;
-        while (i < end) {
+        // Without a branch that depends on the side, which no processor could guess.
+        std::array<Range, 2> sides;
+        BoxRef* to[2] = {&refs_[range.begin], &scratch_[range.begin]};
+        for (std::size_t i = range.begin; i < range.end; ++i) {
             const BoxRef ref = refs_[i];
-            if (is_below(ref)) {
-                below.add(load(ref));
-                ++i;
-            } else {
-                above.add(load(ref));
-                refs_[i] = std::exchange(refs_[--end], ref);
-            }
+            const int side = is_below(ref) ? 0 : 1;
+            sides[side].add(load(ref));
+            *to[side]++ = ref;
         }
-        below.begin = range.begin;
-        below.end = above.begin = i;
-        above.end = range.end;
-        return {below, above};
+        const auto below = std::size_t(to[0] - refs_.data());
+        std::copy(&scratch_[range.begin], to[1], to[0]);
+        sides[0].begin = range.begin;
+        sides[0].end = sides[1].begin = below;
+        sides[1].end = range.end;
+        return sides;
     }
 
     /// In parallel: each chunk counts, and then moves its refs to where they go.
@@ -245,7 +271,6 @@ private:
         });
         std::size_t place = range.begin;
         for (std::size_t& p : places) p = std::exchange(place, place + p);
-        std::call_once(scratch_made_, [&] { scratch_.resize(refs_.size()); });
         for_chunks(range.begin, range.end, [&](std::size_t begin, std::size_t end) {
             // Of the refs before this chunk those that do not lie below lie above.
             std::size_t to_below = places[chunk_of(begin)];
@@ -282,18 +307,19 @@ private:
         Sum sum;
         if (end - begin <= chunk_refs) {
             add_all(begin, end, sum);
-            return sum;
+        } else {
+            sum = tbb::parallel_deterministic_reduce(
+                tbb::blocked_range(begin, end, chunk_refs), Sum(),
+                [&](const auto& part, Sum partial) {
+                    add_all(part.begin(), part.end(), partial);
+                    return partial;
+                },
+                [](Sum a, const Sum& b) {
+                    a.add(b);
+                    return a;
+                });
         }
-        return tbb::parallel_deterministic_reduce(
-            tbb::blocked_range(begin, end, chunk_refs), sum,
-            [&](const auto& part, Sum partial) {
-                add_all(part.begin(), part.end(), partial);
-                return partial;
-            },
-            [](Sum a, const Sum& b) {
-                a.add(b);
-                return a;
-            });
+        return sum;
     }
 
     template <class F>
@@ -305,20 +331,20 @@ private:
         });
     }
 
-    std::vector<BoxRef> refs_;
-    std::vector<BoxRef> scratch_;
-    std::once_flag scratch_made_;
+    RawVector<BoxRef> refs_;
+    RawVector<BoxRef> scratch_;
     std::uint32_t leaf_size_;
+    SearchCosts costs_;
     std::unique_ptr<BoxNode[]> nodes_;
     std::atomic<std::uint32_t> next_node_ = 1;
 };
 
 }  // namespace
 
-BoxTree build_bvh(std::vector<BoxRef> refs, std::uint32_t leaf_size) {
-    CHECK(std::has_single_bit(leaf_size));
+BoxTree build_bvh(RawVector<BoxRef> refs, const BvhConfig& config) {
+    CHECK(config.leaf_size > 0);
     CHECK(refs.size() < 1u << 30);
-    return Builder(std::move(refs), leaf_size).run();
+    return Builder(std::move(refs), config).run();
 }
 
 }  // namespace tessera

