@@ -24,7 +24,7 @@ struct IgiConfig {
 };
 
 /// Adds direct irradiance to `pixels`. Returns the number of rays traced.
-std::uint64_t gather_direct(const World& world, const TilePass& tile,
+std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
 
 /// Adds what the bound takes away from gather_indirect(): one short scattered ray per receiver

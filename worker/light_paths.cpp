@@ -111,7 +111,7 @@ bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vect
     if (walk.bounces++ >= bounces) return false;
     const vec3 leaving = walk.flux * s.bsdf.reflectance * shading_correction(s);
     if (!(max_component(leaving) > 0) || !is_finite(leaving)) return false;
-    vpls.push_back({s.org, s.ng, leaving / pi});
+    vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces});
     const float survival = std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
     const vec2 u_dir = walk.sampler.next();
     if (!(walk.sampler.next().x < survival)) return false;

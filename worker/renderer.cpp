@@ -81,9 +81,9 @@ public:
         const RenderSettings& settings = spec_.settings;
         if (settings.integrator == Integrator::path)
             return rays + trace_paths(world_, tile, settings.bounces, receivers, pixels);
-        rays += gather_direct(world_, tile, receivers, pixels);
-        const auto sets = vpls_of(tile.pass, rays);
         const IgiConfig config{vpl_config_.interleave, vpl_config_.max_geometry, settings.bounces};
+        rays += gather_direct(world_, tile, config, receivers, pixels);
+        const auto sets = vpls_of(tile.pass, rays);
         rays += gather_indirect(world_, tile, config, *sets, receivers, pixels);
         return rays + gather_compensation(world_, tile, config, *sets, receivers, pixels);
     }
