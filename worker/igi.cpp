@@ -133,15 +133,18 @@ void aim(float max_geometry, std::vector<ShortPath>& paths, std::vector<Ray>& ra
     paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
 }
 
-/// Takes in the emission that `ray` found, against the chance that direct sampling finds it.
+/// Takes in the emission that `ray` found, against the chance that direct sampling finds it. What
+/// lights the receiver itself stays unfiltered: beside a lamp it changes from pixel to pixel.
 void add_emission(const World& world, const ShortPath& path, const Ray& ray, const Hit& hit,
                   const SurfacePoint& s, std::span<PixelSample> pixels) {
     if (s.emission == vec3(0)) return;
     const float pdf = cosine_hemisphere_pdf(dot(path.at.n, ray.dir));
     const float weight = power_heuristic(pdf, world.lights.pdf(path.at.p, hit, s));
     PixelSample& pixel = pixels[path.pixel];
-    (path.bounces == 0 ? pixel.direct : pixel.indirect) +=
-        path.throughput * s.emission * (pi * weight);
+    if (path.bounces == 0)
+        pixel.emitted += pixel.albedo * s.emission * weight;
+    else
+        pixel.indirect += path.throughput * s.emission * (pi * weight);
 }
 
 /// Moves `path` on to `s`; false when it carries nothing any more.
