@@ -23,6 +23,7 @@ void DetailBlend::add_row(int y, std::span<const float> detail, std::uint32_t ru
         mean[i] += deviation * per_run;
         squares[i] += deviation * (detail[i] - mean[i]);
     }
+    if (y == 0) runs_ = runs;
     if (runs < 2) return;
     const double per_variance = 1 / (double(runs) * (runs - 1));
     for (int b = 0; b < blocks_.width; ++b) {
@@ -49,10 +50,10 @@ DetailBlend::Block DetailBlend::block(int x, int y) const {
     return sum;
 }
 
-float DetailBlend::share(const Block& block) {
+float DetailBlend::share(const Block& block) const {
     // Neighbours share much of their noise, so the squares of pure noise scatter around their
-    // variance by about a half.
-    constexpr double doubt = 1.5;
+    // variance; and the variance is itself uncertain as long as there are few runs.
+    const double doubt = 1.5 + 6.0 / double(std::max(runs_, 2u) - 1);
     return block.squares > doubt * block.variance
                ? float(1 - doubt * block.variance / block.squares)
                : 0;

@@ -40,11 +40,12 @@ private:
 
     Block block(int x, int y) const;
     /// Of the detail, how much to take: 0 where it is all noise.
-    static float share(const Block& block);
+    float share(const Block& block) const;
     std::vector<float> block_shares() const;
 
     ImageSize size_;
     ImageSize blocks_;
+    std::uint32_t runs_ = 0;
     std::vector<float> mean_;
     std::vector<float> squares_;  ///< squared deviations from it (Welford 1962)
     std::vector<Block> of_row_;   ///< blocks_.width for each row of pixels

@@ -42,10 +42,10 @@ struct DirectSample {
 /// an angle of this cosine.
 float reach(float cosine, float max_geometry) { return std::sqrt(cosine / max_geometry); }
 
-/// Share of a light sample that is left to it: short scattered rays find near lamps, too.
-float direct_weight(const LightSample& light, float cosine, float max_geometry) {
-    const bool found_by_both = !light.punctual && light.distance < reach(cosine, max_geometry);
-    return found_by_both ? power_heuristic(light.pdf, cosine_hemisphere_pdf(cosine)) : 1;
+/// Share of the emission in a direction that is left to direct sampling, where a short scattered
+/// ray finds the lamp, too. `light_pdf` is that of one candidate.
+float direct_weight(float light_pdf, float cosine) {
+    return power_heuristic(direct_candidates * light_pdf, cosine_hemisphere_pdf(cosine));
 }
 
 /// Candidate `i`: a shift of the pixel's own point, so that the candidates spread over the lights.
@@ -60,7 +60,8 @@ DirectSample direct_candidate(const World& world, const IgiConfig& config, const
     if (!light) return {};
     const float cosine = dot(s.n, light->wi);
     if (!(cosine > 0 && dot(s.ng, light->wi) > 0)) return {};
-    const float weight = direct_weight(*light, cosine, config.max_geometry);
+    const bool near = !light->punctual && light->distance < reach(cosine, config.max_geometry);
+    const float weight = near ? direct_weight(light->pdf, cosine) : 1;
     return {*light, light->radiance * (cosine / light->pdf * weight)};
 }
 
@@ -133,18 +134,22 @@ void aim(float max_geometry, std::vector<ShortPath>& paths, std::vector<Ray>& ra
     paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
 }
 
-/// Takes in the emission that `ray` found, against the chance that direct sampling finds it. What
-/// lights the receiver itself stays unfiltered: beside a lamp it changes from pixel to pixel.
-void add_emission(const World& world, const ShortPath& path, const Ray& ray, const Hit& hit,
-                  const SurfacePoint& s, std::span<PixelSample> pixels) {
+/// Takes in the emission that `ray` found, against the chance that direct sampling finds it. Beside
+/// a lamp its light changes from pixel to pixel: there it stays unfiltered.
+void add_emission(const World& world, const IgiConfig& config, const ShortPath& path,
+                  const Ray& ray, const Hit& hit, const SurfacePoint& s,
+                  std::span<PixelSample> pixels) {
     if (s.emission == vec3(0)) return;
-    const float pdf = cosine_hemisphere_pdf(dot(path.at.n, ray.dir));
-    const float weight = power_heuristic(pdf, world.lights.pdf(path.at.p, hit, s));
+    const float light_pdf = world.lights.pdf(path.at.p, hit, s);
+    const float weight = 1 - direct_weight(light_pdf, dot(path.at.n, ray.dir));
+    const vec3 e = path.throughput * s.emission * (pi * weight);
     PixelSample& pixel = pixels[path.pixel];
-    if (path.bounces == 0)
-        pixel.emitted += pixel.albedo * s.emission * weight;
+    if (path.bounces > 0)
+        pixel.indirect += e;
+    else if (hit.t > config.filter_angle * pixel.depth)
+        pixel.direct += e;
     else
-        pixel.indirect += path.throughput * s.emission * (pi * weight);
+        pixel.emitted += pixel.albedo / pi * e;
 }
 
 /// Moves `path` on to `s`; false when it carries nothing any more.
@@ -213,7 +218,7 @@ std::uint64_t gather_compensation(const World& world, const TilePass& tile, cons
             if (!hits[i].valid()) continue;
             ShortPath& path = paths[i];
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
-            add_emission(world, path, rays[i], hits[i], s, pixels);
+            add_emission(world, config, path, rays[i], hits[i], s, pixels);
             if (!advance(path, config, rays[i], hits[i].t, s)) continue;
             sample_direct(world, config, s, path.pixel, path.throughput, path.sampler, batch);
             sample_vpl(sets, config, s, path.pixel, path.throughput, path.bounces, path.sampler,

@@ -21,6 +21,8 @@ struct IgiConfig {
     /// make bright spots.
     float max_geometry = infinity;
     std::uint32_t bounces = 64;
+    /// What the discontinuity filter spans, seen from the eye; rad.
+    float filter_angle = 0;
 };
 
 /// Adds direct irradiance to `pixels`. Returns the number of rays traced.

@@ -81,7 +81,11 @@ public:
         const RenderSettings& settings = spec_.settings;
         if (settings.integrator == Integrator::path)
             return rays + trace_paths(world_, tile, settings.bounces, receivers, pixels);
-        const IgiConfig config{vpl_config_.interleave, vpl_config_.max_geometry, settings.bounces};
+        const IgiConfig config{
+            .interleave = vpl_config_.interleave,
+            .max_geometry = vpl_config_.max_geometry,
+            .bounces = settings.bounces,
+            .filter_angle = float(vpl_config_.interleave) * camera_.pixel_width()};
         rays += gather_direct(world_, tile, config, receivers, pixels);
         const auto sets = vpls_of(tile.pass, rays);
         rays += gather_indirect(world_, tile, config, *sets, receivers, pixels);
