@@ -5,8 +5,11 @@
 namespace tessera {
 namespace {
 
-/// Candidates among which one direct light sample is chosen.
-constexpr std::uint32_t direct_candidates = 4;
+/// Candidates among which one direct light sample is chosen. One lamp needs no choice; more than
+/// four cost more than they gain.
+std::uint32_t direct_candidates(const World& world) {
+    return std::uint32_t(std::clamp<std::size_t>(world.lights.size() / 2, 1, 4));
+}
 
 /// Shadow rays under way, and what each adds to its pixel when it is free.
 struct ShadowBatch {
@@ -44,8 +47,9 @@ float reach(float cosine, float max_geometry) { return std::sqrt(cosine / max_ge
 
 /// Share of the emission in a direction that is left to direct sampling, where a short scattered
 /// ray finds the lamp, too. `light_pdf` is that of one candidate.
-float direct_weight(float light_pdf, float cosine) {
-    return power_heuristic(direct_candidates * light_pdf, cosine_hemisphere_pdf(cosine));
+float direct_weight(const World& world, float light_pdf, float cosine) {
+    return power_heuristic(float(direct_candidates(world)) * light_pdf,
+                           cosine_hemisphere_pdf(cosine));
 }
 
 /// Candidate `i`: a shift of the pixel's own point, so that the candidates spread over the lights.
@@ -55,13 +59,14 @@ DirectSample direct_candidate(const World& world, const IgiConfig& config, const
     // Effectiveness of Quasirandom Sequences", 2018).
     const vec2 place(fraction(u.x + float(i) * 0.75487766f),
                      fraction(u.y + float(i) * 0.56984029f));
-    const float stratum = std::min((float(i) + u_light) / direct_candidates, 0x1.fffffep-1f);
+    const float stratum =
+        std::min((float(i) + u_light) / float(direct_candidates(world)), 0x1.fffffep-1f);
     const auto light = world.lights.sample(s.p, stratum, place);
     if (!light) return {};
     const float cosine = dot(s.n, light->wi);
     if (!(cosine > 0 && dot(s.ng, light->wi) > 0)) return {};
     const bool near = !light->punctual && light->distance < reach(cosine, config.max_geometry);
-    const float weight = near ? direct_weight(light->pdf, cosine) : 1;
+    const float weight = near ? direct_weight(world, light->pdf, cosine) : 1;
     return {*light, light->radiance * (cosine / light->pdf * weight)};
 }
 
@@ -70,11 +75,12 @@ void sample_direct(const World& world, const IgiConfig& config, const SurfacePoi
                    std::uint32_t pixel, const vec3& albedo, Sampler& sampler, ShadowBatch& batch) {
     const vec2 u_choice = sampler.next();
     const vec2 u_place = sampler.next();
+    const std::uint32_t candidates = direct_candidates(world);
     DirectSample chosen;
     float chosen_weight = 0;
     float total = 0;
     float u = u_choice.y;
-    for (std::uint32_t i = 0; i < direct_candidates; ++i) {
+    for (std::uint32_t i = 0; i < candidates; ++i) {
         const DirectSample c = direct_candidate(world, config, s, i, u_choice.x, u_place);
         const float weight = mean_component(c.irradiance);
         if (!(weight > 0) || !std::isfinite(weight)) continue;
@@ -91,7 +97,7 @@ void sample_direct(const World& world, const IgiConfig& config, const SurfacePoi
     }
     if (total <= 0) return;
     batch.add(shadow_ray(s, chosen.light), pixel,
-              albedo * chosen.irradiance * (total / (chosen_weight * direct_candidates)));
+              albedo * chosen.irradiance * (total / (chosen_weight * float(candidates))));
 }
 
 /// Adds the shadow ray to one VPL of all sets, in place of a whole set; `throughput` scales what it
@@ -141,7 +147,7 @@ void add_emission(const World& world, const IgiConfig& config, const ShortPath& 
                   std::span<PixelSample> pixels) {
     if (s.emission == vec3(0)) return;
     const float light_pdf = world.lights.pdf(path.at.p, hit, s);
-    const float weight = 1 - direct_weight(light_pdf, dot(path.at.n, ray.dir));
+    const float weight = 1 - direct_weight(world, light_pdf, dot(path.at.n, ray.dir));
     const vec3 e = path.throughput * s.emission * (pi * weight);
     PixelSample& pixel = pixels[path.pixel];
     if (path.bounces > 0)

@@ -26,7 +26,7 @@ double seconds_since(Clock::time_point start) {
 /// The geometry term is bounded at 1 / (this * diagonal of the scene)^2. Measured on a Cornell box
 /// and a conference room: at 0.1 spots around VPLs make a tenth more error, at 0.3 there is more to
 /// compensate for the same error.
-constexpr float bound_share = 0.2f;
+constexpr float bound_share = 0.25f;
 
 /// Eye points that decide which VPLs matter: about this many, on a grid over the picture. Twice as
 /// many and half the candidates, or the reverse, come out worse at the same cost.
