@@ -32,7 +32,7 @@ struct RenderOptions {
     TracerKind tracer = TracerKind::kdtree;
     FilterPlace filter = FilterPlace::server;
     std::optional<std::uint32_t> passes, antialiasing;
-    std::uint32_t vpls = 16;
+    std::uint32_t vpls = 8;
     RenderSettings settings;
     double time_limit = 0;
     double error_limit = 0;

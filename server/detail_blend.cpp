@@ -59,32 +59,30 @@ float DetailBlend::share(const Block& block) const {
                : 0;
 }
 
-std::vector<float> DetailBlend::block_shares() const {
-    std::vector<float> shares;
-    for (int y = 0; y < blocks_.height; ++y)
-        for (int x = 0; x < blocks_.width; ++x) shares.push_back(share(block(x, y)));
-    return shares;
-}
-
 void DetailBlend::add_to(Image& picture) const {
-    const std::vector<float> shares = block_shares();
-    const auto at = [&](int x, int y) {
-        return shares[std::size_t(std::clamp(y, 0, blocks_.height - 1)) *
-                          std::size_t(blocks_.width) +
-                      std::size_t(std::clamp(x, 0, blocks_.width - 1))];
+    std::vector<Block> blocks;
+    for (int y = 0; y < blocks_.height; ++y)
+        for (int x = 0; x < blocks_.width; ++x) blocks.push_back(block(x, y));
+    const auto at = [&](int x, int y) -> const Block& {
+        const int bx = std::clamp(x, 0, blocks_.width - 1);
+        const int by = std::clamp(y, 0, blocks_.height - 1);
+        return blocks[std::size_t(by) * std::size_t(blocks_.width) + std::size_t(bx)];
     };
-    // Shares of pixels are interpolated between the centres of blocks, so that no seams show.
+    const auto mix = [](const Block& a, const Block& b, double t) {
+        return Block{a.squares + t * (b.squares - a.squares),
+                     a.variance + t * (b.variance - a.variance)};
+    };
+    // Blocks are interpolated between their centres, so that no seams show. What decides is mixed
+    // and not the decision, or else detail beside an even block would never come back whole.
     for (int y = 0; y < size_.height; ++y) {
         const float v = (float(y) + 0.5f) / block_size - 0.5f;
         const int y0 = int(std::floor(v));
-        const float fy = v - float(y0);
         for (int x = 0; x < size_.width; ++x) {
             const float u = (float(x) + 0.5f) / block_size - 0.5f;
             const int x0 = int(std::floor(u));
-            const float fx = u - float(x0);
-            const float upper = (1 - fx) * at(x0, y0) + fx * at(x0 + 1, y0);
-            const float lower = (1 - fx) * at(x0, y0 + 1) + fx * at(x0 + 1, y0 + 1);
-            const float taken = (1 - fy) * upper + fy * lower;
+            const Block upper = mix(at(x0, y0), at(x0 + 1, y0), u - float(x0));
+            const Block lower = mix(at(x0, y0 + 1), at(x0 + 1, y0 + 1), u - float(x0));
+            const float taken = share(mix(upper, lower, v - float(y0)));
             const std::size_t i = 3 * (std::size_t(y) * std::size_t(size_.width) + std::size_t(x));
             for (std::size_t c = i; c < i + 3; ++c) picture.data[c] += taken * mean_[c];
         }
@@ -97,7 +95,8 @@ double DetailBlend::squared_error() const {
         for (int x = 0; x < blocks_.width; ++x) {
             const Block b = block(x, y);
             const double taken = share(b);
-            const double lost = std::max(b.squares - b.variance, 0.0);
+            // Where nothing is taken all of it is held for noise.
+            const double lost = taken > 0 ? b.squares - b.variance : 0;
             sum += taken * taken * b.variance + (1 - taken) * (1 - taken) * lost;
         }
     }

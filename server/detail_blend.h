@@ -41,7 +41,6 @@ private:
     Block block(int x, int y) const;
     /// Of the detail, how much to take: 0 where it is all noise.
     float share(const Block& block) const;
-    std::vector<float> block_shares() const;
 
     ImageSize size_;
     ImageSize blocks_;
