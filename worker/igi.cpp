@@ -124,6 +124,15 @@ struct ShortPath {
     vec3 throughput{1};  ///< from irradiance at `at` to the receiver's
 };
 
+/// Russian roulette by what the path carries, once it has left its first ray's end.
+bool survives(ShortPath& path) {
+    if (path.bounces < 2) return true;
+    const float survival = std::min(max_component(path.throughput), 0.95f);
+    if (!(path.sampler.next().x < survival)) return false;
+    path.throughput /= survival;
+    return true;
+}
+
 /// Sends each path's next ray, no farther than the bound can be exceeded; paths whose ray would
 /// leave through the surface end.
 void aim(float max_geometry, std::vector<ShortPath>& paths, std::vector<Ray>& rays) {
@@ -133,7 +142,7 @@ void aim(float max_geometry, std::vector<ShortPath>& paths, std::vector<Ray>& ra
         const SurfacePoint& s = path.at;
         const vec3 local = sample_cosine_hemisphere(path.sampler.next());
         const vec3 dir = Frame(s.n).world_from_local(local);
-        if (!(dot(dir, s.ng) > 0)) continue;
+        if (!(dot(dir, s.ng) > 0) || !survives(path)) continue;
         rays.push_back({s.org, 0, dir, reach(local.z, max_geometry)});
         paths[kept++] = path;
     }
