@@ -154,10 +154,10 @@ void print_row(const QualityRow& row) {
     std::fflush(stdout);
 }
 
-/// One setting of each kind changed at a time, around the defaults.
+/// The defaults, and one setting of each kind changed at a time.
 std::vector<RenderSettings> igi_settings() {
     const RenderSettings usual;
-    std::vector<RenderSettings> out;
+    std::vector<RenderSettings> out{usual};
     const auto with = [&](auto change) {
         RenderSettings settings = usual;
         change(settings);
