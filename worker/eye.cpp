@@ -20,16 +20,35 @@ std::uint32_t surface_id(const World& world, const Hit& hit, std::uint32_t mirro
     return std::max(hash(hash(hit.instance, object), mirrors), 1u);
 }
 
+/// The tile's pixels in blocks of 4 x 4, whose rays the tracer likes to have together.
+std::vector<std::uint32_t> in_blocks(const Rect& tile) {
+    constexpr int side = 4;
+    std::vector<std::uint32_t> pixels;
+    for (int y0 = 0; y0 < tile.height(); y0 += side)
+        for (int x0 = 0; x0 < tile.width(); x0 += side)
+            for (int y = y0; y < std::min(y0 + side, tile.height()); ++y)
+                for (int x = x0; x < std::min(x0 + side, tile.width()); ++x)
+                    pixels.push_back(std::uint32_t(y * tile.width() + x));
+    return pixels;
+}
+
+/// Closest hits of rays that leave one point.
+void trace_from_eye(const Tracer& tracer, std::span<const Ray> rays, std::span<Hit> hits) {
+    std::vector<vec3> dirs;
+    dirs.reserve(rays.size());
+    for (const Ray& ray : rays) dirs.push_back(ray.dir);
+    if (!rays.empty()) tracer.closest_from(rays[0].org, dirs, hits);
+}
+
 /// Follows eye rays to the first surface that scatters, adds what emits on the way to its pixel and
 /// calls `arrive` with each path, the hit and the surface. Returns the number of rays traced.
 template <class Arrive>
 std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector<Ray> rays,
                      std::span<PixelSample> pixels, Arrive arrive) {
     std::vector<Hit> hits(rays.size());
-    std::uint64_t traced = 0;
+    trace_from_eye(world.tracer, rays, hits);
+    std::uint64_t traced = rays.size();
     while (!paths.empty()) {
-        world.tracer.closest_hits(rays, hits);
-        traced += rays.size();
         std::size_t kept = 0;
         for (std::size_t i = 0; i < paths.size(); ++i) {
             if (!hits[i].valid()) continue;
@@ -51,6 +70,8 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
         paths.resize(kept);
         rays.resize(kept);
         hits.resize(kept);
+        world.tracer.closest_hits(rays, hits);
+        traced += kept;
     }
     return traced;
 }
@@ -104,11 +125,11 @@ Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint3
 
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
-    std::vector<EyePath> paths(pixels.size());
-    std::vector<Ray> rays(pixels.size());
-    for (std::uint32_t i = 0; i < pixels.size(); ++i) {
-        paths[i].pixel = i;
-        rays[i] = camera.ray(vec2(tile.raster(i)) + tile.sampler(i, 0).next());
+    std::vector<EyePath> paths;
+    std::vector<Ray> rays;
+    for (const std::uint32_t pixel : in_blocks(tile.rect)) {
+        paths.push_back({.pixel = pixel});
+        rays.push_back(camera.ray(vec2(tile.raster(pixel)) + tile.sampler(pixel, 0).next()));
     }
     receivers.clear();
     const std::uint64_t traced =
@@ -121,7 +142,7 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
                    pixel.surface = surface_id(world, hit, path.mirrors);
                    receivers.push_back({path.pixel, s});
                });
-    // Mirrors delay some pixels: put them back in order.
+    // Blocks and mirrors shuffle the pixels: put them back in order.
     std::sort(receivers.begin(), receivers.end(),
               [](const Receiver& a, const Receiver& b) { return a.pixel < b.pixel; });
     return traced + refine_rims(world, camera, tile, pixels);

@@ -177,6 +177,51 @@ bool advance(ShortPath& path, const IgiConfig& config, const Ray& ray, float t,
            ++path.bounces <= config.bounces;
 }
 
+/// A set's receivers, where they are so many that shadow rays from a VPL pay as one packet: the
+/// whole tile, when nothing is interleaved. Those of interleaved sets lie too far apart.
+class ReceiverPacket {
+public:
+    static constexpr std::size_t least = 128;
+
+    explicit ReceiverPacket(std::span<const Receiver* const> receivers)
+        : receivers_(receivers), targets_(points_of(receivers)) {}
+
+    /// Adds the VPL's light; returns the number of rays traced.
+    std::uint64_t gather(const Tracer& tracer, const Vpl& vpl, float max_geometry,
+                         std::span<PixelSample> pixels) const {
+        vec3 e[Targets::max_count];
+        RayMask facing{};
+        std::uint64_t rays = 0;
+        for (std::size_t i = 0; i < receivers_.size(); ++i) {
+            e[i] = irradiance(receivers_[i]->surface, vpl, max_geometry);
+            if (!(max_component(e[i]) > 0)) continue;
+            set(facing, i);
+            ++rays;
+        }
+        const RayMask blocked = tracer.occluded_from(vpl.org, targets_, facing, nullptr);
+        for (std::size_t i = 0; i < receivers_.size(); ++i)
+            if (has(facing, i) && !has(blocked, i)) pixels[receivers_[i]->pixel].indirect += e[i];
+        return rays;
+    }
+
+private:
+    static std::vector<vec3> points_of(std::span<const Receiver* const> receivers) {
+        std::vector<vec3> points;
+        for (const Receiver* r : receivers) points.push_back(r->surface.org);
+        return points;
+    }
+
+    std::span<const Receiver* const> receivers_;
+    Targets targets_;
+};
+
+template <class Gather>
+void for_each_packet(std::span<const Receiver* const> receivers, Gather gather) {
+    for (std::size_t first = 0; first < receivers.size(); first += Targets::max_count)
+        gather(ReceiverPacket(receivers.subspan(
+            first, std::min<std::size_t>(Targets::max_count, receivers.size() - first))));
+}
+
 }  // namespace
 
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
@@ -199,7 +244,15 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
         of_set[set_index(tile.raster(r.pixel), sets.offset, config.interleave)].push_back(&r);
 
     ShadowBatch batch;
+    std::uint64_t traced = 0;
     for (std::uint32_t set = 0; set < set_count; ++set) {
+        if (of_set[set].size() >= ReceiverPacket::least) {
+            for_each_packet(of_set[set], [&](const ReceiverPacket& packet) {
+                for (const Vpl& vpl : sets.set(set))
+                    traced += packet.gather(world.tracer, vpl, config.max_geometry, pixels);
+            });
+            continue;
+        }
         for (const Vpl& vpl : sets.set(set)) {
             for (const Receiver* r : of_set[set]) {
                 const vec3 e = irradiance(r->surface, vpl, config.max_geometry);
@@ -208,7 +261,7 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
             }
         }
     }
-    return batch.trace(world.tracer, pixels, &PixelSample::indirect);
+    return traced + batch.trace(world.tracer, pixels, &PixelSample::indirect);
 }
 
 std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
