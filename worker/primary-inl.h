@@ -219,8 +219,7 @@ private:
             slopes.far = hn::MaxOfLanes(lanes_tag, load(far_));
             const Bits met = bits(may_meet(boxes, slopes));
             if (!met) continue;
-            const Float extent = max3(boxes.hi[0] - boxes.lo[0], boxes.hi[1] - boxes.lo[1],
-                                      boxes.hi[2] - boxes.lo[2]);
+            const Float extent = extent_of(boxes);
             const Bits is_narrow =
                 met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
             alignas(64) float start[W];

@@ -84,8 +84,7 @@ private:
             const Boxes boxes = shaft_.children(node);
             const Bits met = bits(may_meet(boxes, shaft_.chunk()));
             if (!met) continue;
-            const Float extent = max3(boxes.hi[0] - boxes.lo[0], boxes.hi[1] - boxes.lo[1],
-                                      boxes.hi[2] - boxes.lo[2]);
+            const Float extent = extent_of(boxes);
             const Bits is_narrow =
                 met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
             for_each_bit(is_narrow, [&](int i) { stack[top++] = {node.children[i], groups}; });
@@ -96,8 +95,7 @@ private:
                 const WideLink child = node.children[i];
                 Bits apart = 0;
                 if (!child.is_leaf()) {
-                    const Float across =
-                        max3(box.hi[0] - box.lo[0], box.hi[1] - box.lo[1], box.hi[2] - box.lo[2]);
+                    const Float across = extent_of(box);
                     apart = reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * across);
                 }
                 for_each_bit(apart & alive_.groups, [&](int g) { walk_group(g, child); });

@@ -39,6 +39,10 @@ struct Boxes {
     Float lo[3], hi[3];
 };
 
+HWY_INLINE Float extent_of(const Boxes& box) {
+    return max3(box.hi[0] - box.lo[0], box.hi[1] - box.lo[1], box.hi[2] - box.lo[2]);
+}
+
 /// Whether a ray of the slopes may meet the box: the sides of the frustum against the corners of
 /// the box that lie deepest inside.
 HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
@@ -638,7 +642,7 @@ private:
 
 /// Takes rays of a chunk through the instances that they may meet, the nearest first. Of `query`
 /// open() tells the groups that are still to be traced; visit(instance, groups) traces them in an
-/// instance; trace_singly(group) traces its rays, which no shaft can hold, in the whole scene; and
+/// instance; trace_singly(group) traces its rays, too wide for a shaft, in the whole scene; and
 /// reach(group, shaft) bounds the z that still matter.
 template <class Query>
 class InstanceRays {
@@ -670,12 +674,16 @@ public:
     }
 
 private:
+    /// A group that covers this share of a box's extent goes on as single rays.
+    static constexpr float wide = 1.0f / 2;
+
     void walk(Bits carried) {
         for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? query_.reach(g, shaft_) : 0;
         NearestFirst stack;
         stack.push({0, WideLink::node(0), carried});
         for (NearestFirst::Entry entry; stack.pop(entry);) {
-            const Bits groups = entry.reached & query_.open() & bits(splat(entry.z) <= load(far_));
+            const Bits groups =
+                entry.reached & query_.open() & ~done_ & bits(splat(entry.z) <= load(far_));
             if (!groups) continue;
             if (entry.link.is_leaf()) {
                 visit(entry.link, groups);
@@ -690,8 +698,14 @@ private:
             of_groups.far = load(far_);
             stack.mark();
             for_each_bit(bits(may_meet(boxes, chunk)), [&](int i) HWY_ATTR {
-                const Bits reached = groups & bits(may_meet(shaft_.child(node, i), of_groups));
-                if (reached) stack.push({start[i], node.children[i], reached});
+                const Boxes box = shaft_.child(node, i);
+                const Bits reached = bits(may_meet(box, of_groups)) & groups & ~done_;
+                if (!reached) return;
+                const Bits apart =
+                    reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * extent_of(box));
+                for_each_bit(apart, [&](int g) { query_.trace_singly(g); });
+                done_ |= apart;
+                if (reached & ~apart) stack.push({start[i], node.children[i], reached & ~apart});
             });
         }
     }
@@ -708,6 +722,7 @@ private:
     const Alive& alive_;
     Query& query_;
     Shaft shaft_;
+    Bits done_ = 0;  ///< groups that went on as single rays
     alignas(64) float far_[W];
 };
 
