@@ -1,8 +1,8 @@
 // Closest hits of hundreds of rays from one point: a camera's through a tile.
 //
-// The traversal is that of worker/shaft-inl.h, nearest boxes first; groups that are wide against
-// the boxes go on alone, ray by ray in the lanes. Candidates that no float bound puts beside a ray
-// or behind its closest hit so far are decided in double, 16 rays of a group at once.
+// The traversal is that of worker/shaft-inl.h, nearest boxes first. Candidates that no float bound
+// puts beside a ray or behind its closest hit so far are decided in double, 16 rays of a group at
+// once.
 #if defined(TESSERA_PRIMARY_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef TESSERA_PRIMARY_INL_H
 #undef TESSERA_PRIMARY_INL_H
@@ -10,7 +10,7 @@
 #define TESSERA_PRIMARY_INL_H
 #endif
 
-#include "worker/shaft-inl.h"
+#include "worker/packet-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tessera {
@@ -186,19 +186,13 @@ public:
             lanes(i, d);
             return alive_.in_place(i);
         };
-        for (Bits left = groups; left;) {
-            Bits carried = shaft_.set(org_, living, left, reach_);
-            if (!carried) carried = shaft_.set(org_, living, left & (~left + 1), reach_);
-            if (carried) {
+        for_each_shaft(
+            shaft_, org_, living, groups, reach_of(object_.tree.bounds, org_),
+            [&](Bits carried) {
                 for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? reach(g) : 0;
                 walk(carried);
-                left &= ~carried;
-            } else {
-                const int g = std::countr_zero(left);
-                trace_singly(g, alive_.rays[g], WideLink::node(0));
-                left &= left - 1;
-            }
-        }
+            },
+            [&](int g) { trace_singly(g, alive_.rays[g]); });
     }
 
 private:
@@ -237,12 +231,12 @@ private:
         }
     }
 
-    void trace_singly(int g, Bits rays, WideLink from) {
+    void trace_singly(int g, Bits rays) {
         for_each_bit(rays, [&](int i) {
             const Ray ray = this->ray(g, i, infinity);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
             Query<false> query;
-            query.trace(object_, ray, instance_, from);
+            query.trace(object_, ray, instance_);
             if (query.found()) best_.take(g * group_size + i, query.result());
         });
     }

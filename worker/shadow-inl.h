@@ -15,7 +15,7 @@
 #include <algorithm>
 #include <optional>
 
-#include "worker/shaft-inl.h"
+#include "worker/packet-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tessera {
@@ -36,19 +36,13 @@ public:
             lanes(i, d);
             return alive_.in_place(i);
         };
-        for (Bits left = groups & alive_.groups; left; left &= alive_.groups) {
-            Bits carried = shaft_.set(org_, living, left, reach_);
-            if (!carried) carried = shaft_.set(org_, living, left & (~left + 1), reach_);
-            if (carried) {
+        for_each_shaft(
+            shaft_, org_, living, groups & alive_.groups, reach_of(object_.tree.bounds, org_),
+            [&](Bits carried) {
                 ask_cache(carried);
                 walk(carried);
-                left &= ~carried;
-            } else {
-                const int g = std::countr_zero(left);
-                trace_singly(g, alive_.rays[g], WideLink::node(0));
-                left &= left - 1;
-            }
-        }
+            },
+            [&](int g) { trace_singly(g, alive_.rays[g], WideLink::node(0)); });
     }
 
 private:

@@ -1,5 +1,5 @@
-// The ray tracer as the rest of the renderer sees it. Two implementations: our kd-tree
-// (worker/kdtree.h) and Embree (worker/embree_tracer.h), the independent second opinion.
+// The ray tracer as the rest of the renderer sees it. Two implementations: our wide trees
+// (worker/wide_scene.h) and Embree (worker/embree_tracer.h), the independent second opinion.
 #pragma once
 
 #include <array>
