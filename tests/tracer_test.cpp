@@ -13,6 +13,7 @@
 #include "worker/affine.h"
 #include "worker/bench/judge.h"
 #include "worker/bench/tracer_scenes.h"
+#include "worker/kdtree_tracer.h"
 #include "worker/triangle.h"
 
 namespace tessera {
@@ -89,12 +90,11 @@ Tally compare_with_embree(const TestScene& scene, int count) {
     return tally;
 }
 
-TEST_P(TracerTest, EqualsBruteForceBitForBit) {
-    const TestScene& scene = GetParam();
-    const auto tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 1);
+void expect_brute_force(const TestScene& scene, TreeBuilder builder, int rays) {
+    const auto tracer = build_kdtree_tracer(scene.objects(), scene.instances, 1, builder);
     RayMaker maker(scene, tracer->bounds(), 7);
     for (int kind = 0; kind < RayMaker::kinds; ++kind)
-        for (int i = 0; i < 1500; ++i) {
+        for (int i = 0; i < rays; ++i) {
             const Ray ray = maker.ray(kind);
             const Hit expected = brute_force(scene, ray);
             const Hit hit = tracer->closest_hit(ray);
@@ -106,6 +106,11 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
         }
 }
 
+TEST_P(TracerTest, EqualsBruteForceBitForBit) {
+    expect_brute_force(GetParam(), TreeBuilder::bvh, 1500);
+    expect_brute_force(GetParam(), TreeBuilder::kdtree, 300);
+}
+
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.
 std::vector<vec3> targets_around(RayMaker& maker, Random& random, float extent) {
     std::vector<vec3> targets;
@@ -113,7 +118,7 @@ std::vector<vec3> targets_around(RayMaker& maker, Random& random, float extent) 
     const vec3 centre = view.org + uniform(random, 0, 1) * extent * normalize(view.dir);
     const float size = extent * std::exp2(uniform(random, -12, 0));
     const vec3 x = size * uniform_direction(random), y = size * uniform_direction(random);
-    const int count = 1 + int(random() % 300);
+    const int count = 1 + int(random() % Targets::max_count);
     for (int i = 0; i < count; ++i) {
         const int tile = i / 16, row = tile / 4 * 4 + i % 16 / 4, column = tile % 4 * 4 + i % 4;
         vec3 p = centre + float(row) / 16 * x + float(column) / 16 * y;
@@ -185,13 +190,18 @@ void expect_packets_equal_rays(const TestScene& scene, const char* isa, int roun
         const vec3 origin = round % 4 == 3 ? start.org + start.dir : start.org;
         std::vector<vec3> targets = targets_around(maker, random, extent);
         if (round % 2) move_onto_surfaces(*tracer, origin, extent, targets);
-        std::vector<std::uint8_t> blocked(targets.size(), 2), expected(targets.size());
-        tracer->occluded_from(origin, targets, blocked, round % 8 < 4 ? &cache : nullptr);
+        RayMask wanted{};
+        for (std::size_t i = 0; i < targets.size(); ++i)
+            if (round % 3 || random() % 2) set(wanted, i);
+        const RayMask blocked = tracer->occluded_from(origin, Targets(targets), wanted,
+                                                      round % 8 < 4 ? &cache : nullptr);
+        std::vector<std::uint8_t> expected(targets.size());
         std::vector<Ray> rays;
         for (const vec3& target : targets) rays.push_back({origin, 0, target - origin, 1});
         tracer->occluded(rays, expected);
         for (std::size_t i = 0; i < targets.size(); ++i)
-            ASSERT_EQ(blocked[i], expected[i]) << "round " << round << " target " << i;
+            ASSERT_EQ(has(blocked, i), has(wanted, i) && expected[i])
+                << "round " << round << " target " << i;
 
         std::vector<vec3> dirs;
         for (Ray& ray : rays) dirs.push_back(ray.dir), ray.tmax = infinity;

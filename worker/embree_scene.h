@@ -13,6 +13,14 @@
 
 namespace tessera {
 
+struct EmbreeRelease {
+    void operator()(RTCDevice device) const { rtcReleaseDevice(device); }
+    void operator()(RTCScene scene) const { rtcReleaseScene(scene); }
+    void operator()(RTCGeometry geometry) const { rtcReleaseGeometry(geometry); }
+};
+template <class Handle>
+using EmbreeHandle = std::unique_ptr<std::remove_pointer_t<Handle>, EmbreeRelease>;
+
 class EmbreeScene {
 public:
     /// Built at HIGH quality with up to `threads` threads. `robust` is Embree's flag: slower, and
@@ -28,14 +36,9 @@ public:
     std::size_t memory_bytes() const { return std::size_t(bytes_.load()); }
 
 private:
-    struct Release {
-        void operator()(RTCDevice device) const { rtcReleaseDevice(device); }
-        void operator()(RTCScene scene) const { rtcReleaseScene(scene); }
-        void operator()(RTCGeometry geometry) const { rtcReleaseGeometry(geometry); }
-    };
-    using Device = std::unique_ptr<std::remove_pointer_t<RTCDevice>, Release>;
-    using Scene = std::unique_ptr<std::remove_pointer_t<RTCScene>, Release>;
-    using Geometry = std::unique_ptr<std::remove_pointer_t<RTCGeometry>, Release>;
+    using Device = EmbreeHandle<RTCDevice>;
+    using Scene = EmbreeHandle<RTCScene>;
+    using Geometry = EmbreeHandle<RTCGeometry>;
 
     Scene new_scene(bool robust) const;
     Scene object_scene(const TracerObject& object, bool robust) const;

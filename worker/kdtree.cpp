@@ -389,6 +389,64 @@ std::vector<std::uint32_t> share_lists(std::vector<KdNode>& nodes,
     return shared;
 }
 
+class Boxes {
+public:
+    Boxes(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size)
+        : tree_(tree), clipped_(clipped), leaf_size_(leaf_size) {
+        out_.repeats = true;
+    }
+
+    BoxTree run() {
+        gather(0, 0, tree_.bounds);
+        return std::move(out_);
+    }
+
+private:
+    /// Finds the contents of a kd-node and all below it; a parent's items follow one another.
+    void gather(std::uint32_t slot, std::uint32_t kd_slot, const Box& cell) {
+        const KdNode& kd = tree_.nodes[kd_slot];
+        BoxNode node{Box{}, 0, std::uint32_t(out_.items.size()), 0};
+        if (kd.is_leaf()) {
+            for (const std::uint32_t item : tree_.items_of(kd)) {
+                node.box.add(clipped_(item, cell));
+                out_.items.push_back(item);
+            }
+        } else {
+            Box lower = cell, upper = cell;
+            lower.hi[kd.axis()] = upper.lo[kd.axis()] = kd.position();
+            node.children = std::uint32_t(out_.nodes.size());
+            out_.nodes.resize(node.children + 2);
+            gather(node.children, kd.lower_child(), lower);
+            gather(node.children + 1, kd.lower_child() + 1, upper);
+            node.box = out_.nodes[node.children].box;
+            node.box.add(out_.nodes[node.children + 1].box);
+            merge(node);
+        }
+        node.count = std::uint32_t(out_.items.size()) - node.first;
+        out_.nodes[slot] = node;
+    }
+
+    /// Makes one leaf of two that fit in one.
+    void merge(BoxNode& node) {
+        const BoxNode a = out_.nodes[node.children], b = out_.nodes[node.children + 1];
+        if (!a.is_leaf() || !b.is_leaf()) return;
+        const auto items = out_.items.begin();
+        std::vector<std::uint32_t> both;
+        std::set_union(items + a.first, items + a.first + a.count, items + b.first,
+                       items + b.first + b.count, std::back_inserter(both));
+        if (both.size() > leaf_size_) return;
+        out_.nodes.resize(node.children);
+        node.children = 0;
+        out_.items.resize(node.first);
+        out_.items.insert(out_.items.end(), both.begin(), both.end());
+    }
+
+    const KdTree& tree_;
+    const ClippedBounds& clipped_;
+    std::uint32_t leaf_size_;
+    BoxTree out_;
+};
+
 }  // namespace
 
 KdTree build_kdtree(std::uint32_t count, const ClippedBounds& clipped, const KdCosts& costs) {
@@ -402,6 +460,10 @@ KdTree build_kdtree(std::uint32_t count, const ClippedBounds& clipped, const KdC
     out.items = share_lists(out.nodes, tree.items);
     CHECK(out.nodes.size() < 1u << 30 && tree.items.size() < 1u << 30);
     return out;
+}
+
+BoxTree boxes_of(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size) {
+    return Boxes(tree, clipped, leaf_size).run();
 }
 
 }  // namespace tessera

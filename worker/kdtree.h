@@ -3,7 +3,8 @@
 //
 // Wald and Havran, "On building fast kd-Trees for Ray Tracing, and on doing that in O(N log N)"
 // (2006); node layout after Wald, "Realtime Ray Tracing and Interactive Global Illumination"
-// (2004), 7.2.1. The same builder serves triangles of an object and boxes of instances.
+// (2004), 7.2.1. It is there to be measured (`tessera bench build`, `tessera bench trace
+// --kdtree`): worker/bvh.h builds what is rendered.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +12,7 @@
 #include <span>
 #include <vector>
 
-#include "common/math.h"
+#include "worker/box_tree.h"
 
 namespace tessera {
 
@@ -54,7 +55,7 @@ struct KdTree {
 };
 
 /// No leaf lies deeper: what a traversal stack must hold.
-inline constexpr int kdtree_max_depth = 96;
+inline constexpr int kdtree_max_depth = box_tree_max_depth;
 
 /// How split planes are chosen. All but the first are there to be measured against it (Wald 2004,
 /// 7.3 and table 7.4); they stop at Kaplan's limits: three items, or 25 levels.
@@ -79,5 +80,11 @@ using ClippedBounds = std::function<Box(std::uint32_t item, const Box& cell)>;
 /// Builds a tree over the items 0 .. count - 1, in parallel on the caller's oneTBB arena. The tree
 /// is the same bits for any number of threads.
 KdTree build_kdtree(std::uint32_t count, const ClippedBounds& clipped, const KdCosts& costs);
+
+/// The same tree with boxes: those of its contents, clipped to its cells, so that it is a kd-tree
+/// no longer but a tree of spatial splits (Stich, Friedrich and Dietrich, "Spatial Splits in
+/// Bounding Volume Hierarchies", 2009). `clipped` is what it was built with; subtrees of up to
+/// `leaf_size` different items become one leaf.
+BoxTree boxes_of(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size);
 
 }  // namespace tessera

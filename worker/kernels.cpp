@@ -19,7 +19,8 @@
 #include "hwy/foreach_target.h"
 // foreach_target.h comes first.
 #include "hwy/highway.h"
-#include "worker/shaft-inl.h"
+#include "worker/primary-inl.h"
+#include "worker/shadow-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tessera {

@@ -21,9 +21,8 @@ template <int width>
 struct Kernels {
     void (*closest_hits)(const WideScene<width>&, std::span<const Ray>, std::span<Hit>);
     void (*occluded)(const WideScene<width>&, std::span<const Ray>, std::span<std::uint8_t>);
-    void (*occluded_from)(const WideScene<width>&, const vec3& origin,
-                          std::span<const vec3> targets, std::span<std::uint8_t> blocked,
-                          OccluderCache*);
+    RayMask (*occluded_from)(const WideScene<width>&, const vec3& origin, const Targets&,
+                             const RayMask& wanted, OccluderCache*);
     void (*closest_from)(const WideScene<width>&, const vec3& origin, std::span<const vec3> dirs,
                          std::span<Hit>);
 };

@@ -1,15 +1,14 @@
-// Hundreds of shadow rays from one point at once: a light's view of a tile.
+// Shafts: the frusta of hundreds of rays from one origin, a tile's, that step through the wide
+// trees together.
 //
 // Wald, Slusallek, Benthin and Wagner, "Interactive Rendering with Coherent Ray Tracing" (2001)
 // trace packets of rays in SIMD lanes; Reshetov, Soupikov and Hurley, "Multi-Level Ray Tracing
 // Algorithm" (2005) decide a node for a whole frustum of rays by interval arithmetic. Here both
-// meet: a chunk of rays is cut into groups of 16, each lane carries the interval of slopes of one
-// group, and one step decides a box for all of them. Where the groups are wide against the boxes
-// they go on alone, ray by ray in the lanes; where few rays of a group are left those go on as
-// single rays (worker/ray-inl.h). We differ in being exact: all tests of boxes and triangles are
-// conservative in their rounding, and a ray whose hit the error bounds leave open is decided by the
-// double test that decides for single rays (worker/triangle.h). So the answers are theirs, bit for
-// bit.
+// meet: the rays are cut into groups of 16, each lane carries the frustum of one group, and one
+// step decides a box for all of them. We differ in being exact: all tests of boxes and triangles
+// are conservative in their rounding, and a ray whose hit the error bounds leave open is decided by
+// the double test that decides for single rays (worker/triangle.h). So the answers are theirs, bit
+// for bit.
 //
 // Coordinates here are relative to the rays' origin and permuted: z is an axis along which all of
 // them advance, and a ray is u = (x / z), v = (y / z).
@@ -20,10 +19,6 @@
 #define TESSERA_SHAFT_INL_H
 #endif
 
-#include <algorithm>
-#include <numeric>
-#include <optional>
-
 #include "worker/ray-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -33,36 +28,6 @@ namespace HWY_NAMESPACE {
 constexpr int group_size = 16;
 constexpr int chunk_size = W * group_size;  ///< a lane for each group
 constexpr Bits all_rays = 0xffff;
-
-/// Directions from one origin, in structure-of-arrays order.
-struct Directions {
-    alignas(64) float d[3][chunk_size];
-    int count = 0;
-
-    vec3 at(int i) const { return {d[0][i], d[1][i], d[2][i]}; }
-    void add(const vec3& dir) {
-        for (int k = 0; k < 3; ++k) d[k][count] = dir[k];
-        ++count;
-    }
-    /// From the points, seen from `from`.
-    void set(std::span<const vec3> points, const vec3& from) {
-        count = 0;
-        const Float org[3] = {splat(from.x), splat(from.y), splat(from.z)};
-        for (; count + W <= int(points.size()); count += W) {
-            Float p[3];
-            hn::LoadInterleaved3(lanes_tag, &points[std::size_t(count)].x, p[0], p[1], p[2]);
-            for (int k = 0; k < 3; ++k) store(p[k] - org[k], d[k] + count);
-        }
-        for (const vec3& point : points.subspan(std::size_t(count))) add(point - from);
-        pad();
-    }
-
-    /// The last one again up to the end of its group.
-    void pad() {
-        for (int i = count; i % group_size != 0; ++i)
-            for (int k = 0; k < 3; ++k) d[k][i] = d[k][count - 1];
-    }
-};
 
 /// Intervals of slopes and a reach: of one ray, a group or a chunk, in one lane or in all.
 struct Slopes {
@@ -90,279 +55,300 @@ HWY_INLINE Mask may_meet(const Boxes& box, const Slopes& s) {
     return hn::And(hn::And(above <= zero, below >= zero), hn::And(z0 <= z1, z0 <= s.far));
 }
 
-/// Of a block's triangles: the normals of the planes through the origin and each edge, which point
-/// to where rays pass inside, and by how much a ray's distance from them may be wrong.
-struct Edges {
-    alignas(64) float normals[3][3][W];  ///< [edge][axis]
-    alignas(64) float slack[W];
-};
+HWY_INLINE float least_of(Float x, Mask among) {
+    return hn::GetLane(hn::MinOfLanes(lanes_tag, hn::IfThenElse(among, x, splat(infinity))));
+}
+HWY_INLINE float greatest_of(Float x, Mask among) {
+    return hn::GetLane(hn::MaxOfLanes(lanes_tag, hn::IfThenElse(among, x, splat(-infinity))));
+}
 
-/// A chunk of rays as frusta.
+/// The frusta of up to W groups of rays and of all of them together.
 class Shaft {
 public:
-    /// False when the rays have no axis in common along which they all advance well.
-    bool set(const vec3& org, const Directions& rays, int first, int count);
+    /// Takes of the `wanted` groups those whose rays all advance well along one axis, and returns
+    /// them. `ends` bounds the directions of each group's rays, along the scene's axes and from the
+    /// origin to where they end; `lanes(i, d)` sets `d` to those of ray i of every group
+    /// and tells in which groups that ray counts; `reach`
+    /// exceeds the distance along each axis of all geometry.
+    template <class Lanes>
+    Bits set(const vec3& org, Lanes&& lanes, Bits wanted, float reach);
 
-    Slopes chunk() const { return splat_slopes(chunk_); }
+    const vec3& origin() const { return org_; }
+    int axis(int k) const { return axes_[k]; }
+    float sign() const { return sign_; }
+    float steepest() const { return steepest_; }
+    float longest() const { return longest_; }
+    float reach() const { return reach_; }
+    float widening() const { return widening_; }
+    float spread() const { return chunk_spread_; }
+
+    Slopes chunk() const {
+        return {splat(chunk_[0]), splat(chunk_[1]), splat(chunk_[2]), splat(chunk_[3]),
+                splat(chunk_[4])};
+    }
     Slopes groups() const {
         return {load(groups_[0]), load(groups_[1]), load(groups_[2]), load(groups_[3]),
                 load(groups_[4])};
     }
-    Slopes group(int g) const {
-        return {splat(groups_[0][g]), splat(groups_[1][g]), splat(groups_[2][g]),
-                splat(groups_[3][g]), splat(groups_[4][g])};
-    }
-    /// Of W rays of group g, from ray `k`.
-    Slopes rays(int g, int k) const {
-        const Float u = load(u_ + g * group_size + k), v = load(v_ + g * group_size + k);
-        const Float margin = splat(widening_);
-        return {u - margin, u + margin, v - margin, v + margin, load(far_ + g * group_size + k)};
-    }
-    /// Bounds of where the rays end.
-    Boxes chunk_ends() const {
-        Boxes out;
-        for (int k = 0; k < 3; ++k) {
-            const bool flip = k == 2 && sign_ < 0;
-            const float lo = ends_lo_[axes_[k]], hi = ends_hi_[axes_[k]];
-            out.lo[k] = splat(flip ? -hi : lo);
-            out.hi[k] = splat(flip ? -lo : hi);
-        }
-        return out;
-    }
-    Boxes group_ends(int g) const {
-        Boxes out;
-        for (int k = 0; k < 3; ++k) {
-            Float lo = splat(infinity), hi = splat(-infinity);
-            for (int i = 0; i < group_size; i += W) {
-                const Float d = load(d_[k] + g * group_size + i);
-                lo = hn::Min(lo, d), hi = hn::Max(hi, d);
-            }
-            out.lo[k] = hn::MinOfLanes(lanes_tag, lo);
-            out.hi[k] = hn::MaxOfLanes(lanes_tag, hi);
-        }
-        return out;
-    }
+    /// The groups' least and greatest slopes, u or v; and bounds of where their rays end.
+    const float* slopes(int k, int hi) const { return groups_[2 * k + hi]; }
+    const float* group_ends(int k, int hi) const { return group_ends_[k][hi]; }
+    /// The z where the longest ray of a group ends.
+    float far(int g) const { return groups_[4][g]; }
     /// How far the groups' rays stand apart at z = 1.
-    Float spread() const { return load(spread_); }
+    Float spreads() const { return load(spread_); }
 
+    /// Bounds of where all rays end.
+    Boxes chunk_ends() const {
+        return permuted([&](int k) { return splat(ends_lo_[k]); },
+                        [&](int k) { return splat(ends_hi_[k]); });
+    }
+
+    /// The boxes of a node's children in the lanes, or of child `i` in all lanes.
     Boxes children(const Node& node) const {
-        Boxes out;
-        for (int k = 0; k < 3; ++k) {
-            const Float org = splat(org_[axes_[k]]);
-            const Float lo = load(node.bounds[axes_[k]][0]) - org;
-            const Float hi = load(node.bounds[axes_[k]][1]) - org;
-            const bool flip = k == 2 && sign_ < 0;
-            out.lo[k] = flip ? hn::Neg(hi) : lo;
-            out.hi[k] = flip ? hn::Neg(lo) : hi;
-        }
-        return out;
+        return permuted([&](int k) { return load(node.bounds[k][0]) - splat(org_[k]); },
+                        [&](int k) { return load(node.bounds[k][1]) - splat(org_[k]); });
+    }
+    Boxes child(const Node& node, int i) const {
+        return permuted([&](int k) { return splat(node.bounds[k][0][i] - org_[k]); },
+                        [&](int k) { return splat(node.bounds[k][1][i] - org_[k]); });
     }
 
 private:
-    friend class Facet;
-    friend Bits may_hit(const Block&, const Shaft&, const Slopes&, const Boxes&, Edges&);
-    friend class ShaftOcclusion;
-    friend class GroupClosest;
-
-    static Slopes splat_slopes(const float* s) {
-        return {splat(s[0]), splat(s[1]), splat(s[2]), splat(s[3]), splat(s[4])};
+    template <class Lo, class Hi>
+    HWY_INLINE Boxes permuted(Lo&& lo, Hi&& hi) const {
+        const int x = axes_[0], y = axes_[1], z = axes_[2];
+        if (sign_ > 0) return {{lo(x), lo(y), lo(z)}, {hi(x), hi(y), hi(z)}};
+        return {{lo(x), lo(y), hn::Neg(hi(z))}, {hi(x), hi(y), hn::Neg(lo(z))}};
     }
-    bool choose_axis(const Directions& rays, int first, int end);
-    void bound_groups(int groups);
+    Bits choose_axis(const Boxes& ends, Bits wanted);
+    template <class Lanes>
+    void bound_slopes(Lanes&& lanes, Bits carried);
 
     vec3 org_;
     int axes_[3];
-    float sign_;                     ///< of the directions along z
-    float steepest_;                 ///< bounds all |u|, |v|, and 1
-    float widening_;                 ///< what slopes are widened by against boxes
-    float longest_;                  ///< bounds the directions' coordinates
+    float sign_;      ///< of the directions along z
+    float steepest_;  ///< bounds all |u|, |v|, and 1
+    float widening_;  ///< what slopes are widened by against boxes
+    float longest_;   ///< bounds the directions' coordinates
+    float reach_;
     float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
-    float chunk_[5];
+    float chunk_[5], chunk_spread_;
+    alignas(64) float group_ends_[3][2][W];
     alignas(64) float groups_[5][W];
     alignas(64) float spread_[W];
-    // Of the rays: slopes, z where they end, directions.
-    alignas(64) float u_[chunk_size], v_[chunk_size], far_[chunk_size];
-    alignas(64) float d_[3][chunk_size];
 };
 
-inline bool Shaft::choose_axis(const Directions& rays, int first, int end) {
-    Float lo[3], hi[3];
-    for (int k = 0; k < 3; ++k) lo[k] = splat(infinity), hi[k] = splat(-infinity);
-    Mask sound = hn::FirstN(lanes_tag, W);
-    for (int k = 0; k < 3; ++k)
-        for (int i = first; i < end; i += W) {
-            const Float d = load(rays.d[k] + i);
-            lo[k] = hn::Min(lo[k], d);
-            hi[k] = hn::Max(hi[k], d);
-            sound = hn::And(sound, hn::Abs(d) < splat(0x1p60f));  // NaN is not
-        }
-    if (bits(sound) != all_lanes) return false;
-    float nearest[3],
-        size[3];  // of the directions: least advance along the axis, largest coordinate
+/// Finds the bounds of all ends, and from them the axis along which they lie; returns the groups
+/// whose rays advance well along it.
+inline Bits Shaft::choose_axis(const Boxes& ends, Bits wanted) {
+    const Mask among = mask_of(wanted);
+    float farthest = 0;
     longest_ = 0;
     for (int k = 0; k < 3; ++k) {
-        const float least = hn::GetLane(hn::MinOfLanes(lanes_tag, lo[k]));
-        const float most = hn::GetLane(hn::MaxOfLanes(lanes_tag, hi[k]));
-        nearest[k] = least > 0 ? least : -most;
-        size[k] = std::max(std::abs(least), std::abs(most));
-        ends_lo_[k] = least, ends_hi_[k] = most;
-        longest_ = std::max(longest_, size[k]);
-        if (k == 0 || nearest[k] > nearest[axes_[2]]) {
-            axes_[2] = k;
-            sign_ = least > 0 ? 1.0f : -1.0f;
-        }
+        ends_lo_[k] = least_of(ends.lo[k], among);
+        ends_hi_[k] = greatest_of(ends.hi[k], among);
+        longest_ = std::max(longest_, std::max(-ends_lo_[k], ends_hi_[k]));
+        const float sum = ends_lo_[k] + ends_hi_[k];
+        if (k > 0 && !(std::abs(sum) > farthest)) continue;
+        farthest = std::abs(sum);
+        axes_[2] = k;
+        sign_ = sum > 0 ? 1.0f : -1.0f;
     }
     axes_[0] = (axes_[2] + 1) % 3;
     axes_[1] = (axes_[2] + 2) % 3;
-    return nearest[axes_[2]] > 0x1p-3f * std::max(size[axes_[0]], size[axes_[1]]) &&
-           nearest[axes_[2]] > 0x1p-60f;
+    const Boxes e = permuted([&](int k) { return ends.lo[k]; }, [&](int k) { return ends.hi[k]; });
+    for (int k = 0; k < 3; ++k)
+        store(e.lo[k], group_ends_[k][0]), store(e.hi[k], group_ends_[k][1]);
+    const Float aside = hn::Max(hn::Max(hn::Abs(e.lo[0]), hn::Abs(e.hi[0])),
+                                hn::Max(hn::Abs(e.lo[1]), hn::Abs(e.hi[1])));
+    // What is not a number is not sound.
+    const Mask sound = hn::And(e.lo[2] > hn::Max(splat(0x1p-3f) * aside, splat(0x1p-60f)),
+                               hn::Max(aside, e.hi[2]) < splat(0x1p40f));
+    return wanted & bits(sound);
 }
 
-inline bool Shaft::set(const vec3& org, const Directions& rays, int first, int count) {
-    const int end = first + (count + group_size - 1) / group_size * group_size;
-    if (!choose_axis(rays, first, end)) return false;
+template <class Lanes>
+Bits Shaft::set(const vec3& org, Lanes&& lanes, Bits wanted, float reach) {
+    if (!(reach < 0x1p40f)) return 0;
     org_ = org;
-    for (int i = first; i < end; i += W) {
-        const Float x = load(rays.d[axes_[0]] + i), y = load(rays.d[axes_[1]] + i);
-        const Float z = splat(sign_) * load(rays.d[axes_[2]] + i);
-        const Float inv = splat(1) / z;
-        const int to = i - first;
-        store(x * inv, u_ + to);
-        store(y * inv, v_ + to);
-        store(z, far_ + to);
-        store(x, d_[0] + to);
-        store(y, d_[1] + to);
-        store(z, d_[2] + to);
+    reach_ = reach;
+
+    Boxes ends;
+    for (int k = 0; k < 3; ++k) ends.lo[k] = splat(infinity), ends.hi[k] = splat(-infinity);
+    for (int i = 0; i < group_size; ++i) {
+        Float d[3];
+        const Mask counts = lanes(i, d);
+        for (int k = 0; k < 3; ++k) {
+            ends.lo[k] = hn::IfThenElse(counts, hn::Min(ends.lo[k], d[k]), ends.lo[k]);
+            ends.hi[k] = hn::IfThenElse(counts, hn::Max(ends.hi[k], d[k]), ends.hi[k]);
+        }
     }
-    bound_groups((end - first) / group_size);
-    return true;
+    const Bits carried = choose_axis(ends, wanted);
+    if (carried) bound_slopes(lanes, carried);
+    return carried;
 }
 
-inline void Shaft::bound_groups(int groups) {
-    for (int g = 0; g < groups; ++g) {
-        Float lo_u = splat(infinity), lo_v = lo_u, hi_u = splat(-infinity), hi_v = hi_u, far = hi_u;
-        for (int k = 0; k < group_size; k += W) {
-            const Float u = load(u_ + g * group_size + k), v = load(v_ + g * group_size + k);
-            lo_u = hn::Min(lo_u, u), hi_u = hn::Max(hi_u, u);
-            lo_v = hn::Min(lo_v, v), hi_v = hn::Max(hi_v, v);
-            far = hn::Max(far, load(far_ + g * group_size + k));
-        }
-        groups_[0][g] = hn::GetLane(hn::MinOfLanes(lanes_tag, lo_u));
-        groups_[1][g] = hn::GetLane(hn::MaxOfLanes(lanes_tag, hi_u));
-        groups_[2][g] = hn::GetLane(hn::MinOfLanes(lanes_tag, lo_v));
-        groups_[3][g] = hn::GetLane(hn::MaxOfLanes(lanes_tag, hi_v));
-        groups_[4][g] = hn::GetLane(hn::MaxOfLanes(lanes_tag, far));
+template <class Lanes>
+void Shaft::bound_slopes(Lanes&& lanes, Bits carried) {
+    Float u_lo = splat(infinity), u_hi = splat(-infinity), v_lo = u_lo, v_hi = u_hi;
+    for (int i = 0; i < group_size; ++i) {
+        Float d[3];
+        const Mask counts = lanes(i, d);
+        const Float inv = reciprocal(d[axes_[2]]) * splat(sign_);
+        const Float u = d[axes_[0]] * inv, v = d[axes_[1]] * inv;
+        u_lo = hn::IfThenElse(counts, hn::Min(u_lo, u), u_lo);
+        u_hi = hn::IfThenElse(counts, hn::Max(u_hi, u), u_hi);
+        v_lo = hn::IfThenElse(counts, hn::Min(v_lo, v), v_lo);
+        v_hi = hn::IfThenElse(counts, hn::Max(v_hi, v), v_hi);
     }
-    // Free lanes repeat the first group, lest they widen the chunk.
-    for (int g = groups; g < W; ++g)
-        for (auto& of_groups : groups_) of_groups[g] = of_groups[0];
-    const Slopes s = this->groups();
-    chunk_[0] = hn::GetLane(hn::MinOfLanes(lanes_tag, s.u_lo));
-    chunk_[1] = hn::GetLane(hn::MaxOfLanes(lanes_tag, s.u_hi));
-    chunk_[2] = hn::GetLane(hn::MinOfLanes(lanes_tag, s.v_lo));
-    chunk_[3] = hn::GetLane(hn::MaxOfLanes(lanes_tag, s.v_hi));
-    chunk_[4] = hn::GetLane(hn::MaxOfLanes(lanes_tag, s.far));
+    const Mask among = mask_of(carried);
+    chunk_[0] = least_of(u_lo, among);
+    chunk_[1] = greatest_of(u_hi, among);
+    chunk_[2] = least_of(v_lo, among);
+    chunk_[3] = greatest_of(v_hi, among);
     steepest_ = 1;
     for (int i = 0; i < 4; ++i) steepest_ = std::max(steepest_, std::abs(chunk_[i]));
-    store(hn::Max(s.u_hi - s.u_lo, s.v_hi - s.v_lo), spread_);
+    store(hn::Max(u_hi - u_lo, v_hi - v_lo), spread_);
+    chunk_spread_ = std::max(chunk_[1] - chunk_[0], chunk_[3] - chunk_[2]);
 
-    // A slope, a box relative to the origin and their product are each wrong by 2^-23 at most.
+    // A slope, a box relative to the origin and their product are each wrong by 2^-22 at most.
     widening_ = 0x1p-20f * steepest_;
-    const Float margin = splat(widening_), longer = splat(1 + 0x1p-20f);
-    store(s.u_lo - margin, groups_[0]);
-    store(s.u_hi + margin, groups_[1]);
-    store(s.v_lo - margin, groups_[2]);
-    store(s.v_hi + margin, groups_[3]);
-    store(s.far * longer, groups_[4]);
+    const Float margin = splat(widening_);
+    store(u_lo - margin, groups_[0]);
+    store(u_hi + margin, groups_[1]);
+    store(v_lo - margin, groups_[2]);
+    store(v_hi + margin, groups_[3]);
+    store(load(group_ends_[2][1]) * splat(1 + 0x1p-20f), groups_[4]);
     for (const int i : {0, 2}) chunk_[i] -= widening_;
     for (const int i : {1, 3}) chunk_[i] += widening_;
-    chunk_[4] *= 1 + 0x1p-20f;
+    chunk_[4] = (sign_ > 0 ? ends_hi_[axes_[2]] : -ends_lo_[axes_[2]]) * (1 + 0x1p-20f);
 }
+
+/// Of a block's triangles, as the origin sees them: the planes through the origin and each edge,
+/// whose normals point to where rays pass inside, and the triangles' own planes.
+struct Facets {
+    alignas(64) float edges[3][3][W];   ///< [edge][axis]
+    alignas(64) float slopes[2][2][W];  ///< [u, v][lo, hi] of the corners
+    alignas(64) float edge_slack[W];    ///< infinite where the origin lies in the plane
+    alignas(64) float plane[3][W];      ///< the normal, away from the origin
+    alignas(64) float before[W];  ///< with less than this a point surely lies on the origin's side
+    // Of segments:
+    alignas(64) float beyond[W];  ///< with more than this surely on the other
+    // Of rays that do not end:
+    alignas(64) float plane_slack[W];  ///< how wrong n . (u, v, 1) may be
+    alignas(64) float nearest[W];      ///< no hit has a lesser z
+};
 
 /// The lanes whose triangles a ray of `s` that ends in `ends` may hit: those that no side of the
 /// frustum keeps out, that do not have all of it on one side, and none of whose edges has. Fills
-/// `edges` for them.
+/// `facets` for them. Without `segments` the rays do not end.
+template <bool segments>
 HWY_INLINE Bits may_hit(const Block& block, const Shaft& shaft, const Slopes& s, const Boxes& ends,
-                        Edges& edges) {
+                        Facets& facets) {
     Float p[3][3];  // [axis][corner]
     for (int axis = 0; axis < 3; ++axis) {
-        const Float org = splat(shaft.org_[shaft.axes_[axis]]);
-        for (int k = 0; k < 3; ++k) {
-            p[axis][k] = load(block.corners[k][shaft.axes_[axis]]) - org;
-            if (axis == 2) p[axis][k] = splat(shaft.sign_) * p[axis][k];
-        }
+        const Float org = splat(shaft.origin()[shaft.axis(axis)]);
+        for (int k = 0; k < 3; ++k) p[axis][k] = load(block.corners[k][shaft.axis(axis)]) - org;
     }
-    Float size = hn::Zero(lanes_tag);
-    Float left = splat(-infinity), low = left, deep = left;
-    Float right = splat(infinity), high = right, shallow = right;
-    for (int k = 0; k < 3; ++k) {
-        const Float x = p[0][k], y = p[1][k], z = p[2][k];
-        size = hn::Max(size, max3(hn::Abs(x), hn::Abs(y), hn::Abs(z)));
-        // How far inside the four sides the corner lies.
-        left = hn::Max(left, hn::NegMulAdd(s.u_lo, z, x));
-        right = hn::Min(right, hn::NegMulAdd(s.u_hi, z, x));
-        low = hn::Max(low, hn::NegMulAdd(s.v_lo, z, y));
-        high = hn::Min(high, hn::NegMulAdd(s.v_hi, z, y));
-        deep = hn::Max(deep, z);
-        shallow = hn::Min(shallow, z);
-    }
-    const Float slack = splat(0x1p-21f * shaft.steepest_) * size;
-    const Mask inside = hn::And(hn::And(left >= hn::Neg(slack), right <= slack),
-                                hn::And(low >= hn::Neg(slack), high <= slack));
-    const Mask within = hn::And(deep >= hn::Neg(slack), shallow <= s.far + slack);
-    const Bits met = bits(hn::And(inside, within));
+    if (shaft.sign() < 0)
+        for (Float& z : p[2]) z = hn::Neg(z);
+
+    // How far inside the frustum's four sides, its origin and its far end the corners lie.
+    const auto deepest = [&](const Float* x, Float slope) HWY_ATTR {
+        return max3(hn::NegMulAdd(slope, p[2][0], x[0]), hn::NegMulAdd(slope, p[2][1], x[1]),
+                    hn::NegMulAdd(slope, p[2][2], x[2]));
+    };
+    const auto shallowest = [&](const Float* x, Float slope) HWY_ATTR {
+        return min3(hn::NegMulAdd(slope, p[2][0], x[0]), hn::NegMulAdd(slope, p[2][1], x[1]),
+                    hn::NegMulAdd(slope, p[2][2], x[2]));
+    };
+    const Float slack = splat(0x1p-21f * shaft.steepest() * shaft.reach());
+    const Float inside = hn::Min(deepest(p[0], s.u_lo), deepest(p[1], s.v_lo));
+    const Float outside = hn::Max(shallowest(p[0], s.u_hi), shallowest(p[1], s.v_hi));
+    const Float front = max3(p[2][0], p[2][1], p[2][2]);
+    const Float back = min3(p[2][0], p[2][1], p[2][2]);
+    const Bits met = bits(
+        hn::And(hn::Min(inside, front) >= hn::Neg(slack), hn::Max(outside, back - s.far) <= slack));
     if (!met) return 0;
 
     // The plane's normal, and the distances of the origin and of the ends from the plane. Ends and
     // origin lie close to surfaces, so all is measured from a corner, where errors are small.
-    Float e[3], f[3], extent = hn::Zero(lanes_tag);
+    Float e[3], f[3], n[3], extent = hn::Zero(lanes_tag);
     for (int k = 0; k < 3; ++k) {
         e[k] = p[k][1] - p[k][0];
         f[k] = p[k][2] - p[k][1];
-        extent = hn::Max(extent, hn::Max(hn::Abs(e[k]), hn::Abs(f[k])));
+        extent = max3(extent, hn::Abs(e[k]), hn::Abs(f[k]));
     }
     Float origin = hn::Zero(lanes_tag), nearest = origin, farthest = origin;
-    Float error = origin, ends_error = origin;
+    Float error = origin, ends_error = origin, normal_size = origin;
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
-        const Float back = e[j] * f[i];
-        const Float n = hn::MulSub(e[i], f[j], back);
-        const Float n_size = hn::Abs(back) + hn::Abs(n);
-        const Float lo = ends.lo[k] - p[k][0], hi = ends.hi[k] - p[k][0];
-        origin = hn::NegMulAdd(n, p[k][0], origin);
-        nearest = nearest + hn::Min(n * lo, n * hi);
-        farthest = farthest + hn::Max(n * lo, n * hi);
+        const Float product = e[j] * f[i];
+        n[k] = hn::MulSub(e[i], f[j], product);
+        const Float n_size = hn::Abs(product) + hn::Abs(n[k]);
+        normal_size = normal_size + n_size;
         error = hn::MulAdd(n_size, hn::Abs(p[k][0]), error);
+        origin = hn::NegMulAdd(n[k], p[k][0], origin);
+        if (!segments) continue;
+        const Float lo = ends.lo[k] - p[k][0], hi = ends.hi[k] - p[k][0];
+        nearest = nearest + hn::Min(n[k] * lo, n[k] * hi);
+        farthest = farthest + hn::Max(n[k] * lo, n[k] * hi);
         ends_error = hn::MulAdd(n_size, hn::Max(hn::Abs(lo), hn::Abs(hi)), ends_error);
     }
     // What the double test may be wrong by is far less, whatever the triangle's shape.
-    const Float least = splat(0x1p-40f) * extent * extent * size;
+    const Float least = splat(0x1p-40f * shaft.reach()) * extent * extent;
     error = hn::MulAdd(splat(0x1p-20f), error, least);
     ends_error = hn::MulAdd(splat(0x1p-20f), ends_error, error);
-    const Mask above = hn::And(origin > error, nearest > ends_error);
-    const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
-    const Bits cross_plane = met & ~bits(hn::Or(above, below));
-    if (!cross_plane) return 0;
+    Bits cross_plane = met;
+    if (segments) {
+        const Mask above = hn::And(origin > error, nearest > ends_error);
+        const Mask below = hn::And(origin < hn::Neg(error), farthest < hn::Neg(ends_error));
+        cross_plane &= ~bits(hn::Or(above, below));
+        if (!cross_plane) return 0;
+    }
+
+    // Bounds of the slopes, where all corners lie ahead.
+    const Mask ahead = back > hn::Zero(lanes_tag);
+    Float inv[3];
+    for (int k = 0; k < 3; ++k) inv[k] = splat(1) / p[2][k];
+    for (int k = 0; k < 2; ++k) {
+        const Float a = p[k][0] * inv[0], b = p[k][1] * inv[1], c = p[k][2] * inv[2];
+        store(hn::IfThenElse(ahead, min3(a, b, c), splat(-infinity)), facets.slopes[k][0]);
+        store(hn::IfThenElse(ahead, max3(a, b, c), splat(infinity)), facets.slopes[k][1]);
+    }
 
     // Normals that point inwards, as far as the origin's side of the plane is known.
     const Mask known = hn::Abs(origin) > error;
+    const float reach = shaft.reach();
     const Float slack_of_edges =
-        splat(0x1p-18f * shaft.steepest_) * size * hn::MulAdd(splat(0x1p-20f), size, extent);
+        splat(0x1p-18f * shaft.steepest() * reach) * (splat(0x1p-20f * reach) + extent);
     const Float edge_slack = hn::IfThenElse(known, slack_of_edges, splat(infinity));
-    store(edge_slack, edges.slack);
+    store(edge_slack, facets.edge_slack);
+    const Float height = hn::Abs(origin);
+    const Float plane_slack = hn::IfThenElse(known, segments ? ends_error : error, splat(infinity));
+    store(height - plane_slack, facets.before);
+    if (segments) {
+        // A hit needs t < 1 after rounding.
+        store(height + hn::Max(splat(0x1p-20f) * height, plane_slack), facets.beyond);
+    } else {
+        store(splat(0x1p-20f * shaft.steepest()) * normal_size, facets.plane_slack);
+        store(back - slack, facets.nearest);
+    }
     const Float towards = hn::CopySign(splat(1), hn::Neg(origin));
+    for (int k = 0; k < 3; ++k) store(towards * n[k], facets.plane[k]);
     Float most = splat(infinity);
     for (int k = 0; k < 3; ++k) {
-        Float d[3], n[3];
+        Float d[3], m[3];
         for (int i = 0; i < 3; ++i)
             d[i] = towards * (k == 0 ? e[i] : k == 1 ? f[i] : p[i][0] - p[i][2]);
         for (int i = 0; i < 3; ++i) {
             const int j = (i + 1) % 3, l = (i + 2) % 3;
-            n[i] = hn::MulSub(p[j][k], d[l], p[l][k] * d[j]);
-            store(n[i], edges.normals[k][i]);
+            m[i] = hn::MulSub(p[j][k], d[l], p[l][k] * d[j]);
+            store(m[i], facets.edges[k][i]);
         }
-        most = hn::Min(most, hn::Max(n[0] * s.u_lo, n[0] * s.u_hi) +
-                                 hn::Max(n[1] * s.v_lo, n[1] * s.v_hi) + n[2]);
+        most = hn::Min(most, hn::Max(m[0] * s.u_lo, m[0] * s.u_hi) +
+                                 hn::Max(m[1] * s.v_lo, m[1] * s.v_hi) + m[2]);
     }
     return cross_plane & ~bits(most < hn::Neg(edge_slack));
 }
@@ -377,10 +363,10 @@ public:
         const auto relative = [&](const vec3& p) {
             dvec3 out;
             for (int k = 0; k < 3; ++k) {
-                const int axis = shaft.axes_[k];
-                out[k] = double(p[axis]) - double(shaft.org_[axis]);
+                const int axis = shaft.axis(k);
+                out[k] = double(p[axis]) - double(shaft.origin()[axis]);
             }
-            out.z *= double(shaft.sign_);
+            out.z *= double(shaft.sign());
             return out;
         };
         const dvec3 a = relative(triangle.a), b = relative(triangle.b), c = relative(triangle.c);
@@ -398,7 +384,7 @@ public:
         };
         const double extent = std::max(largest(ab), largest(bc));
         const double reach =
-            std::max(std::max(largest(a), largest(b)), double(shaft.longest_)) + extent;
+            std::max(std::max(largest(a), largest(b)), double(shaft.longest())) + extent;
         plane_slack_ = 0x1p-44 * extent * extent * reach;
         double edge_size = 0;
         for (int i = 0; i < 3; ++i) {
@@ -407,7 +393,7 @@ public:
                 edge_size, std::abs(edges[i].x) + std::abs(edges[i].y) + std::abs(edges[i].z));
         }
         // Six roundings of 2^-24, and those of the double test.
-        slack_ = float(0x1p-21 * edge_size * double(shaft.steepest_) + 0x1p-44 * extent * reach);
+        slack_ = float(0x1p-21 * edge_size * double(shaft.steepest()) + 0x1p-44 * extent * reach);
         // An origin in the plane tells nothing, nor do numbers so small that they vanish.
         if (!(height_ > plane_slack_ && edge_size > 0x1p-80)) {
             slack_ = infinity;
@@ -459,528 +445,276 @@ private:
     double height_, plane_slack_;
 };
 
-/// The rays of a chunk against one object, in the object's space.
-class ShaftOcclusion {
-public:
-    ShaftOcclusion(const SceneObject& object, std::uint32_t instance, const Shaft& shaft, int count,
-                   OccluderCache* cache)
-        : object_(object), instance_(instance), shaft_(shaft), count_(count), cache_(cache) {
+/// The rays of a chunk that are still to be traced.
+struct Alive {
+    alignas(64) Bits rays[W];  ///< of each group
+    Bits groups = 0;           ///< that have any
+
+    /// The `wanted` rays of the W groups from `first`, as far as their targets are finite.
+    Alive(const RayMask& wanted, const Targets& targets, int first) {
         for (int g = 0; g < W; ++g) {
-            const int left = std::clamp(count - g * group_size, 0, group_size);
-            alive_[g] = (Bits(1) << left) - 1;
-            if (left > 0) live_ |= Bits(1) << g;
+            const auto i = std::size_t(first + g);
+            rays[g] = wanted[i] & targets.finite[i];
+            if (rays[g]) groups |= Bits(1) << g;
         }
     }
 
-    void run() {
-        ask_cache();
-        walk();
+    void block(int g, Bits blocked) {
+        rays[g] &= ~blocked;
+        if (!rays[g]) groups &= ~(Bits(1) << g);
+    }
+    /// The groups whose ray `i` lives.
+    HWY_INLINE Mask in_place(int i) const {
+        constexpr hn::RebindToUnsigned<decltype(lanes_tag)> tag;
+        return hn::RebindMask(lanes_tag,
+                              hn::TestBit(hn::Load(tag, rays), hn::Set(tag, Bits(1) << i)));
+    }
+    void block_groups(Bits blocked) {
+        for_each_bit(blocked, [&](int g) { rays[g] = 0; });
+        groups &= ~blocked;
+    }
+};
+
+/// W groups of rays from one origin to points.
+class PointRays {
+public:
+    PointRays(const vec3& origin, const Targets& targets, int first_group)
+        : origin_(origin), targets_(targets), first_(first_group) {}
+
+    vec3 direction(int g, int i, const mat3* from_world) const {
+        const vec3 d = targets_.point(std::size_t((first_ + g) * group_size + i)) - origin_;
+        return from_world ? *from_world * d : d;
     }
 
-    template <class F>
-    HWY_INLINE void for_each_blocked(F&& f) const {
-        for (int g = 0; g * group_size < count_; ++g) {
-            const Bits there = (Bits(1) << std::min(count_ - g * group_size, group_size)) - 1;
-            for_each_bit(there & ~alive_[g], [&](int i) { f(g * group_size + i); });
-        }
+    /// The directions of W rays of group g, from ray `k`.
+    HWY_INLINE void directions(int g, int k, const mat3* from_world, Float (&d)[3]) const {
+        const int at = (first_ + g) * group_size + k;
+        for (int i = 0; i < 3; ++i) d[i] = load(targets_.p[i] + at) - splat(origin_[i]);
+        if (from_world) transform(*from_world, d);
+    }
+
+    /// The directions of ray `i` of every group.
+    HWY_INLINE void lanes(int i, const mat3* from_world, Float (&d)[3]) const {
+        for (int k = 0; k < 3; ++k)
+            d[k] = load(targets_.by_place[k][i] + first_) - splat(origin_[k]);
+        if (from_world) transform(*from_world, d);
     }
 
 private:
+    /// In the order of Affine::vector, for the same bits.
+    static HWY_INLINE void transform(const mat3& m, Float (&d)[3]) {
+        const Float x = d[0], y = d[1], z = d[2];
+        for (int i = 0; i < 3; ++i)
+            d[i] = splat(m[0][i]) * x + splat(m[1][i]) * y + splat(m[2][i]) * z;
+    }
+
+    const vec3& origin_;
+    const Targets& targets_;
+    int first_;
+};
+
+/// One group of a shaft, ray by ray: made when the shaft must look at single rays.
+struct GroupRays {
+    alignas(64) float d[3][group_size];  ///< by scene axis, to where the rays end
+    alignas(64) float u[group_size], v[group_size], z[group_size];
+};
+
+/// The rays of a chunk against one object, in the object's space.
+class ObjectRays {
+protected:
+    ObjectRays(const SceneObject& object, std::uint32_t instance, const Affine* object_from_world,
+               const vec3& origin, const PointRays& rays)
+        : object_(object),
+          instance_(instance),
+          from_world_(object_from_world ? &object_from_world->linear : nullptr),
+          org_(object_from_world ? object_from_world->point(origin) : origin),
+          rays_(rays) {
+        const Box& b = object.tree.bounds;
+        reach_ = std::max(max_component(abs(b.lo - org_)), max_component(abs(b.hi - org_)));
+    }
+
     /// A group is wide where its rays are this share of a box's extent apart.
     static constexpr float wide = 1.0f / 8;
-    /// So few rays are faster one by one.
-    static constexpr int few = 1;
+    /// So narrow a shaft meets a box with all its groups or hardly at all.
+    static constexpr float narrow = 1.0f / 4;
 
-    void ask_cache() {
-        if (!cache_) return;
-        const auto known = cache_->blocks;
-        for (const OccluderCache::Block& b : known)
-            if (b.instance == instance_ && live_) test_block(b.first, live_);
+    HWY_INLINE void lanes(int i, Float (&d)[3]) const { rays_.lanes(i, from_world_, d); }
+    Ray ray(int g, int i, float tmax) const {
+        return {org_, 0, rays_.direction(g, i, from_world_), tmax};
     }
 
-    void walk() {
-        struct Entry {
-            WideLink link;
-            Bits groups;
+    const GroupRays& group_rays(int g) {
+        GroupRays& out = group_rays_[g];
+        if (known_rays_ >> g & 1) return out;
+        known_rays_ |= Bits(1) << g;
+        for (int k = 0; k < group_size; k += W) {
+            Float d[3];
+            rays_.directions(g, k, from_world_, d);
+            for (int i = 0; i < 3; ++i) store(d[i], out.d[i] + k);
+            const Float z = splat(shaft_.sign()) * d[shaft_.axis(2)];
+            const Float inv = splat(1) / z;
+            store(d[shaft_.axis(0)] * inv, out.u + k);
+            store(d[shaft_.axis(1)] * inv, out.v + k);
+            store(z, out.z + k);
+        }
+        return out;
+    }
+
+    struct GroupBounds {
+        Slopes slopes;
+        Boxes ends;
+    };
+
+    GroupBounds bounds_of(const GroupRays& rays, Bits among) const {
+        const auto lo = [&](const float* x) HWY_ATTR {
+            float least = infinity;
+            for (int k = 0; k < group_size; k += W)
+                least = std::min(least, least_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return least;
         };
-        Entry stack[wide_stack_size<W>];
-        int top = 0;
-        stack[top++] = {WideLink::node(0), live_};
-        while (top > 0 && live_) {
-            const auto [link, groups] = stack[--top];
-            if (!(groups & live_)) continue;
-            if (link.is_leaf()) {
-                for (std::uint32_t i = 0; i < link.count(); ++i)
-                    test_block(link.first() + i, groups & live_);
-                continue;
-            }
-            const Node& node = object_.tree.nodes[link.first()];
-            const Boxes boxes = shaft_.children(node);
-            alignas(64) float lo[3][W], hi[3][W], extent[W];
-            for (int k = 0; k < 3; ++k) store(boxes.lo[k], lo[k]), store(boxes.hi[k], hi[k]);
-            store(max3(boxes.hi[0] - boxes.lo[0], boxes.hi[1] - boxes.lo[1],
-                       boxes.hi[2] - boxes.lo[2]),
-                  extent);
-            const Slopes all = shaft_.groups();
-            for (Bits met = bits(may_meet(boxes, shaft_.chunk())); met; met &= met - 1) {
-                const int i = std::countr_zero(met);
-                const Boxes box{{splat(lo[0][i]), splat(lo[1][i]), splat(lo[2][i])},
-                                {splat(hi[0][i]), splat(hi[1][i]), splat(hi[2][i])}};
-                const Bits reached = bits(may_meet(box, all)) & groups & live_;
-                if (!reached) continue;
-                const Bits apart =
-                    reached & bits(shaft_.spread() * splat(lo[2][i]) > splat(wide * extent[i]));
-                for (Bits rest = apart; rest; rest &= rest - 1)
-                    walk_group(std::countr_zero(rest), node.children[i]);
-                if (reached & ~apart) stack[top++] = {node.children[i], reached & ~apart};
-            }
-        }
-    }
-
-    /// One group from a node on: its rays in the lanes.
-    HWY_NOINLINE void walk_group(int g, WideLink from) {
-        struct Entry {
-            WideLink link;
-            Bits rays;
+        const auto hi = [&](const float* x) HWY_ATTR {
+            float most = -infinity;
+            for (int k = 0; k < group_size; k += W)
+                most = std::max(most, greatest_of(load(x + k), mask_of(among >> k & all_lanes)));
+            return most;
         };
-        Entry stack[wide_stack_size<W>];
-        int top = 0;
-        stack[top++] = {from, alive_[g]};
-        const Slopes slopes = shaft_.group(g);
-        const Boxes ends = shaft_.group_ends(g);
-        while (top > 0 && alive_[g]) {
-            auto [link, rays] = stack[--top];
-            rays &= alive_[g];
-            if (std::popcount(rays) <= few) {
-                trace_singly(g, rays, link);
-                continue;
-            }
-            if (link.is_leaf()) {
-                for (std::uint32_t i = 0; i < link.count(); ++i)
-                    test_block(link.first() + i, g, slopes, ends);
-                continue;
-            }
-            const Node& node = object_.tree.nodes[link.first()];
-            const Boxes boxes = shaft_.children(node);
-            alignas(64) float lo[3][W], hi[3][W];
-            for (int k = 0; k < 3; ++k) store(boxes.lo[k], lo[k]), store(boxes.hi[k], hi[k]);
-            for (Bits met = bits(may_meet(boxes, slopes)); met; met &= met - 1) {
-                const int i = std::countr_zero(met);
-                const Boxes box{{splat(lo[0][i]), splat(lo[1][i]), splat(lo[2][i])},
-                                {splat(hi[0][i]), splat(hi[1][i]), splat(hi[2][i])}};
-                Bits reached = 0;
-                for (int k = 0; k < group_size; k += W)
-                    reached |= bits(may_meet(box, shaft_.rays(g, k))) << k;
-                reached &= rays;
-                if (reached) stack[top++] = {node.children[i], reached};
-            }
+        const float margin = shaft_.widening(), far = hi(rays.z);
+        const float* const x = rays.d[shaft_.axis(0)];
+        const float* const y = rays.d[shaft_.axis(1)];
+        return {{splat(lo(rays.u) - margin), splat(hi(rays.u) + margin), splat(lo(rays.v) - margin),
+                 splat(hi(rays.v) + margin), splat(far * (1 + 0x1p-20f))},
+                {{splat(lo(x)), splat(lo(y)), splat(lo(rays.z))},
+                 {splat(hi(x)), splat(hi(y)), splat(far)}}};
+    }
+
+    HWY_INLINE Bits rays_that_meet(const GroupRays& rays, const Boxes& box) const {
+        const Float margin = splat(shaft_.widening()), longer = splat(1 + 0x1p-20f);
+        Bits reached = 0;
+        for (int k = 0; k < group_size; k += W) {
+            const Float u = load(rays.u + k), v = load(rays.v + k);
+            const Slopes s{u - margin, u + margin, v - margin, v + margin,
+                           load(rays.z + k) * longer};
+            reached |= bits(may_meet(box, s)) << k;
         }
-    }
-
-    void trace_singly(int g, Bits rays, WideLink from) {
-        for (; rays; rays &= rays - 1) {
-            const int i = std::countr_zero(rays);
-            Query<true> query(1);
-            query.trace(object_, ray(g * group_size + i), instance_, from);
-            if (query.found()) block(g, Bits(1) << i);
-        }
-    }
-
-    /// A block of triangles against groups.
-    void test_block(std::uint32_t index, Bits groups) {
-        const Block& block = object_.blocks[index];
-        const Slopes all = shaft_.groups();
-        Edges edges;
-        bool useful = false;
-        for (Bits may = may_hit(block, shaft_, shaft_.chunk(), shaft_.chunk_ends(), edges); may;
-             may &= may - 1) {
-            const int lane = std::countr_zero(may);
-            if (block.ids[lane] == Block::no_triangle) break;
-            const Bits met = groups_met(edges, lane, all) & groups & live_;
-            if (met) useful |= test(block, lane, edges, met);
-        }
-        if (useful) remember(index);
-    }
-
-    /// The same against one group.
-    void test_block(std::uint32_t index, int g, const Slopes& slopes, const Boxes& ends) {
-        const Block& block = object_.blocks[index];
-        Edges edges;
-        bool useful = false;
-        for (Bits may = may_hit(block, shaft_, slopes, ends, edges); may; may &= may - 1) {
-            const int lane = std::countr_zero(may);
-            if (block.ids[lane] == Block::no_triangle) break;
-            useful |= test(block, lane, edges, Bits(1) << g);
-        }
-        if (useful) remember(index);
-    }
-
-    /// The groups of which not every ray passes outside one edge.
-    static HWY_INLINE Bits groups_met(const Edges& edges, int lane, const Slopes& s) {
-        Float least = splat(infinity);
-        for (const auto& n : edges.normals) {
-            const float x = n[0][lane], y = n[1][lane];
-            least = hn::Min(least, hn::MulAdd(splat(x), x > 0 ? s.u_hi : s.u_lo,
-                                              hn::MulAdd(splat(y), y > 0 ? s.v_hi : s.v_lo,
-                                                         splat(n[2][lane]))));
-        }
-        return bits(hn::Not(least < splat(-edges.slack[lane])));
-    }
-
-    /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
-    HWY_INLINE bool test(const Block& block, int lane, const Edges& edges, Bits groups) {
-        Float n[3][3];
-        for (int k = 0; k < 3; ++k)
-            for (int i = 0; i < 3; ++i) n[k][i] = splat(edges.normals[k][i][lane]);
-        const Float slack = splat(-edges.slack[lane]);
-        std::optional<Facet> facet;
-        bool any = false;
-        for (; groups; groups &= groups - 1) {
-            const int g = std::countr_zero(groups);
-            for (int k = 0; k < group_size; k += W) {
-                const int at = g * group_size + k;
-                const Float u = load(shaft_.u_ + at), v = load(shaft_.v_ + at);
-                const auto distance = [&](int i) HWY_ATTR {
-                    return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
-                };
-                const Float least = min3(distance(0), distance(1), distance(2));
-                const Bits maybe = bits(hn::Not(least < slack)) & alive_[g] >> k;
-                if (!maybe) continue;
-                if (!facet) facet.emplace(block.lane(lane), shaft_);
-                any |= decide(*facet, block, lane, g, k, maybe);
-            }
-        }
-        return any;
-    }
-
-    /// Blocks those of the rays that hit the triangle.
-    HWY_INLINE bool decide(const Facet& facet, const Block& block, int lane, int g, int k,
-                           Bits rays) {
-        const int at = g * group_size + k;
-        Bits crossed, maybe_crossed;
-        facet.crossed(shaft_.d_[0] + at, shaft_.d_[1] + at, shaft_.d_[2] + at, crossed,
-                      maybe_crossed);
-        rays &= maybe_crossed;
-        if (!rays) return false;
-        Bits inside, maybe_inside;
-        facet.inside(load(shaft_.u_ + at), load(shaft_.v_ + at), inside, maybe_inside);
-        Bits hit = rays & inside & crossed;
-        for (Bits open = rays & maybe_inside & ~hit; open; open &= open - 1) {
-            const int i = std::countr_zero(open);
-            TriangleHit found;
-            if (TriangleRay(ray(at + i)).hits(block.lane(lane), found)) hit |= Bits(1) << i;
-        }
-        if (hit) this->block(g, hit << k);
-        return hit != 0;
-    }
-
-    void block(int g, Bits rays) {
-        alive_[g] &= ~rays;
-        if (!alive_[g]) live_ &= ~(Bits(1) << g);
-    }
-
-    void remember(std::uint32_t index) {
-        if (!cache_) return;
-        auto& known = cache_->blocks;
-        if (known[0].instance == instance_ && known[0].first == index) return;
-        const auto same = std::find_if(known.begin(), known.end() - 1, [&](const auto& b) {
-            return b.instance == instance_ && b.first == index;
-        });
-        std::move_backward(known.begin(), same, same + 1);
-        known[0] = {instance_, index};
-    }
-
-    Ray ray(int i) const {
-        vec3 dir;
-        for (int k = 0; k < 3; ++k) dir[shaft_.axes_[k]] = shaft_.d_[k][i];
-        dir[shaft_.axes_[2]] *= shaft_.sign_;
-        return {shaft_.org_, 0, dir, 1};
+        return reached;
     }
 
     const SceneObject& object_;
     std::uint32_t instance_;
-    const Shaft& shaft_;
-    int count_;
-    OccluderCache* cache_;
-    Bits alive_[W];  ///< the rays of each group that nothing blocks yet
-    Bits live_ = 0;  ///< the groups that have any
+    const mat3* from_world_;
+    vec3 org_;
+    float reach_;
+    const PointRays& rays_;
+    Shaft shaft_;
+
+private:
+    Bits known_rays_ = 0;
+    GroupRays group_rays_[W];
 };
 
-/// Sets the flags of the rays that the object blocks; `flag(i)` is that of ray i.
-template <class Flag>
-void occlude(const SceneObject& object, std::uint32_t instance, const vec3& org,
-             const Directions& rays, int first, int count, OccluderCache* cache, Flag&& flag) {
-    Shaft shaft;
-    if (shaft.set(org, rays, first, count)) {
-        ShaftOcclusion occlusion(object, instance, shaft, count, cache);
-        occlusion.run();
-        occlusion.for_each_blocked([&](int i) { flag(first + i) = 1; });
-    } else if (count > group_size) {
-        for (int i = 0; i < count; i += group_size)
-            occlude(object, instance, org, rays, first + i, std::min(group_size, count - i), cache,
-                    flag);
-    } else {
-        for (int i = first; i < first + count; ++i) {
-            Query<true> query(1);
-            const Ray ray{org, 0, rays.at(i), 1};
-            if (!is_finite(ray.org) || !is_finite(ray.dir)) continue;
-            query.trace(object, ray, instance);
-            if (query.found()) flag(i) = 1;
-        }
-    }
-}
-
-/// The same for all instances: those that the chunk's frustum meets, each in its own space, with
-/// the rays that nothing blocks yet.
-void occlude_instances(const Scene& scene, const vec3& org, const Directions& rays, int first,
-                       int count, OccluderCache* cache, std::uint8_t* flags) {
-    Shaft shaft;
-    if (!shaft.set(org, rays, first, count)) {
-        if (count > group_size) {
-            for (int i = 0; i < count; i += group_size)
-                occlude_instances(scene, org, rays, first + i, std::min(group_size, count - i),
-                                  cache, flags);
-            return;
-        }
-        for (int i = first; i < first + count; ++i)
-            flags[i] = trace<true>(scene, {org, 0, rays.at(i), 1}).valid();
-        return;
-    }
-    int left[chunk_size];
-    int left_count = count;
-    std::iota(left, left + count, first);
-    Mailbox mailbox;
-    WideLink stack[wide_stack_size<W>];
-    int top = 0;
-    stack[top++] = WideLink::node(0);
-    while (top > 0 && left_count > 0) {
-        const WideLink link = stack[--top];
-        if (!link.is_leaf()) {
-            const Node& node = scene.top.nodes[link.first()];
-            for_each_bit(bits(may_meet(shaft.children(node), shaft.chunk())),
-                         [&](int i) { stack[top++] = node.children[i]; });
-            continue;
-        }
-        for (const std::uint32_t item : std::span(&scene.items[link.first()], link.count())) {
-            if (left_count == 0 || mailbox.test_and_set(item)) continue;
-            const WideInstance& instance = scene.instances[item];
-            Directions seen;
-            for (int i = 0; i < left_count; ++i)
-                seen.add(instance.object_from_world.vector(rays.at(left[i])));
-            seen.pad();
-            occlude(scene.objects[instance.object], instance.id,
-                    instance.object_from_world.point(org), seen, 0, left_count, cache,
-                    [&](int i) -> std::uint8_t& { return flags[left[i]]; });
-            left_count =
-                int(std::remove_if(left, left + left_count, [&](int i) { return flags[i] != 0; }) -
-                    left);
-        }
-    }
-}
-
-void occluded_from(const Scene& scene, const vec3& origin, std::span<const vec3> targets,
-                   std::span<std::uint8_t> blocked, OccluderCache* cache) {
-    std::ranges::fill(blocked, std::uint8_t(0));
-    for (std::size_t start = 0; start < targets.size(); start += chunk_size) {
-        const std::size_t count = std::min<std::size_t>(chunk_size, targets.size() - start);
-        std::uint8_t* const flags = blocked.data() + start;
-        Directions rays;
-        rays.set(targets.subspan(start, count), origin);
-        if (scene.single)
-            occlude(scene.objects[0], 0, origin, rays, 0, int(count), cache,
-                    [&](int i) -> std::uint8_t& { return flags[i]; });
-        else
-            occlude_instances(scene, origin, rays, 0, int(count), cache, flags);
-    }
-}
-
-/// TriangleRay::hits for 16 rays from one origin: the same operations in the same order, and so the
-/// same bits, of as many rays at once as doubles fit.
-class ExactGroup {
+/// Links to visit with the groups or rays that reach them, those pushed after a mark() in order of
+/// their z.
+class NearestFirst {
 public:
-    /// False when the directions are largest along different axes.
-    bool set(const vec3& org, std::span<const vec3> dirs) {
-        for (int i = 0; i < group_size; ++i) {
-            const vec3& dir = dirs[std::min(std::size_t(i), dirs.size() - 1)];
-            const TriangleRay ray(Ray{org, 0, dir, infinity});
-            if (i == 0) axes_ = ray.axes();
-            if (ray.axes() != axes_) return false;
-            const glm::dvec3 shear = ray.shear();
-            sx_[i] = shear.x, sy_[i] = shear.y, sz_[i] = shear.z;
-            t_[i] = infinity;
-            ids_[i] = Block::no_triangle;
-        }
-        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[std::size_t(k)]];
-        return true;
-    }
+    struct Entry {
+        float z;
+        WideLink link;
+        Bits reached;
+    };
 
-    /// Tests rays `first` to `first` + W - 1.
-    HWY_INLINE void test(const Block& block, int lane, int first) {
-        double x[3], y[3], z[3];
-        for (int k = 0; k < 3; ++k) {
-            x[k] = block.corners[k][axes_[0]][lane] - org_[0];
-            y[k] = block.corners[k][axes_[1]][lane] - org_[1];
-            z[k] = block.corners[k][axes_[2]][lane] - org_[2];
-        }
-        for (int i = first; i < first + W; i += W / 2) test_half(x, y, z, block.ids[lane], i);
-    }
-
-    const float* t() const { return t_; }
-    Hit hit(int i) const {
-        return ids_[i] == Block::no_triangle ? Hit{} : Hit{t_[i], u_[i], v_[i], 0, ids_[i]};
+    bool pop(Entry& entry) { return top_ > 0 && (entry = entries_[--top_], true); }
+    void mark() { base_ = top_; }
+    void push(const Entry& entry) {
+        int place = top_++;
+        for (; place != base_ && entries_[place - 1].z < entry.z; --place)
+            entries_[place] = entries_[place - 1];
+        entries_[place] = entry;
     }
 
 private:
-    HWY_INLINE void test_half(const double* px, const double* py, const double* pz,
-                              std::uint32_t id, int at) {
-        constexpr hn::ScalableTag<double> tag;
-        constexpr hn::Rebind<float, decltype(tag)> half;
-        using Double = hn::Vec<decltype(tag)>;
-        const auto set = [&](double a) HWY_ATTR { return hn::Set(tag, a); };
-        const Double sx = hn::Load(tag, sx_ + at), sy = hn::Load(tag, sy_ + at);
-        Double x[3], y[3], width = set(0);
-        for (int k = 0; k < 3; ++k) {
-            x[k] = set(px[k]) - sx * set(pz[k]);
-            y[k] = set(py[k]) - sy * set(pz[k]);
-            width = hn::Max(width, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
-        }
-        const Double u = x[2] * y[1] - y[2] * x[1];
-        const Double v = x[0] * y[2] - y[0] * x[2];
-        const Double w = x[1] * y[0] - y[1] * x[0];
-        const Double zero = set(0);
-        const auto beside =
-            hn::And(hn::Min(u, hn::Min(v, w)) < zero, hn::Max(u, hn::Max(v, w)) > zero);
-        const Double det = u + v + w;
-        const auto sound = hn::Abs(det) > set(8 * 0x1p-53) * width * width;
-        const auto hits = hn::AndNot(beside, sound);
-        if (hn::AllFalse(tag, hits)) return;
-        const Double scale = set(1) / det;
-        const Double t =
-            (u * set(pz[0]) + v * set(pz[1]) + w * set(pz[2])) * (hn::Load(tag, sz_ + at) * scale);
-        const auto t_rounded = hn::DemoteTo(half, t);
-        alignas(64) float found_t[W], found_u[W], found_v[W];
-        hn::Store(t_rounded, half, found_t);
-        hn::Store(hn::DemoteTo(half, v * scale), half, found_u);
-        hn::Store(hn::DemoteTo(half, w * scale), half, found_v);
-        std::uint8_t bytes[8] = {};
-        hn::StoreMaskBits(tag, hits, bytes);
-        for (Bits hit = bytes[0]; hit; hit &= hit - 1) {
-            const int i = std::countr_zero(hit), k = at + i;
-            const float found = found_t[i];
-            if (!(found > 0 && found < infinity)) continue;
-            if (found < t_[k] || (found == t_[k] && id < ids_[k])) {
-                t_[k] = found;
-                u_[k] = found_u[i];
-                v_[k] = found_v[i];
-                ids_[k] = id;
+    Entry entries_[wide_stack_size<W>];
+    int top_ = 0, base_ = 0;
+};
+
+/// Takes rays of a chunk through the instances that they may meet, the nearest first. Of `query`
+/// open() tells the groups that are still to be traced; visit(instance, groups) traces them in an
+/// instance; trace_singly(group) traces its rays, which no shaft can hold, in the whole scene; and
+/// reach(group, shaft) bounds the z that still matter.
+template <class Query>
+class InstanceRays {
+public:
+    InstanceRays(const Scene& scene, const vec3& origin, const PointRays& rays, const Alive& alive,
+                 Query& query)
+        : scene_(scene), origin_(origin), rays_(rays), alive_(alive), query_(query) {}
+
+    void run() {
+        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
+            rays_.lanes(i, nullptr, d);
+            return alive_.in_place(i);
+        };
+        const Box& b = scene_.top.bounds;
+        const float reach =
+            std::max(max_component(abs(b.lo - origin_)), max_component(abs(b.hi - origin_)));
+        for (Bits left = query_.open(); left; left &= query_.open()) {
+            const Bits lowest = left & (~left + 1);
+            Bits carried = shaft_.set(origin_, living, left, reach);
+            if (!carried) carried = shaft_.set(origin_, living, lowest, reach);
+            if (carried) {
+                walk(carried);
+            } else {
+                carried = lowest;
+                query_.trace_singly(std::countr_zero(left));
             }
+            left &= ~carried;
         }
     }
 
-    std::array<int, 3> axes_;
-    double org_[3];
-    alignas(64) double sx_[group_size], sy_[group_size], sz_[group_size];
-    alignas(64) float t_[group_size];
-    float u_[group_size], v_[group_size];
-    std::uint32_t ids_[group_size];
-};
-
-/// Up to 16 rays to their closest hits, the nearest boxes first.
-class GroupClosest {
-public:
-    GroupClosest(const SceneObject& object, const Shaft& shaft, ExactGroup& exact)
-        : object_(object), shaft_(shaft), exact_(exact) {}
-
-    void run() {
-        struct Entry {
-            float z;
-            WideLink link;
-        };
-        Entry stack[wide_stack_size<W>];
-        int top = 0;
-        stack[top++] = {0, WideLink::node(0)};
-        while (top > 0) {
-            const auto [z, link] = stack[--top];
-            const Slopes slopes = reaching();
-            if (z > hn::GetLane(slopes.far)) continue;
-            if (link.is_leaf()) {
-                for (std::uint32_t i = 0; i < link.count(); ++i)
-                    test_block(object_.blocks[link.first() + i], slopes);
+private:
+    void walk(Bits carried) {
+        for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? query_.reach(g, shaft_) : 0;
+        NearestFirst stack;
+        stack.push({0, WideLink::node(0), carried});
+        for (NearestFirst::Entry entry; stack.pop(entry);) {
+            const Bits groups = entry.reached & query_.open() & bits(splat(entry.z) <= load(far_));
+            if (!groups) continue;
+            if (entry.link.is_leaf()) {
+                visit(entry.link, groups);
                 continue;
             }
-            const Node& node = object_.tree.nodes[link.first()];
+            const Node& node = scene_.top.nodes[entry.link.first()];
             const Boxes boxes = shaft_.children(node);
             alignas(64) float start[W];
             store(boxes.lo[2], start);
-            const int base = top;
-            for (Bits met = bits(may_meet(boxes, slopes)); met; met &= met - 1) {
-                const int i = std::countr_zero(met);
-                int place = top++;
-                for (; place != base && stack[place - 1].z < start[i]; --place)
-                    stack[place] = stack[place - 1];
-                stack[place] = {start[i], node.children[i]};
-            }
+            Slopes chunk = shaft_.chunk(), of_groups = shaft_.groups();
+            chunk.far = hn::MaxOfLanes(lanes_tag, load(far_));
+            of_groups.far = load(far_);
+            stack.mark();
+            for_each_bit(bits(may_meet(boxes, chunk)), [&](int i) HWY_ATTR {
+                const Bits reached = groups & bits(may_meet(shaft_.child(node, i), of_groups));
+                if (reached) stack.push({start[i], node.children[i], reached});
+            });
         }
     }
 
-private:
-    /// The group's slopes, as far as its rays still matter.
-    Slopes reaching() const {
-        Slopes s = shaft_.group(0);
-        Float far = splat(0);
-        for (int k = 0; k < group_size; k += W)
-            far = hn::Max(far, load(exact_.t() + k) * load(shaft_.far_ + k));
-        s.far = hn::MaxOfLanes(lanes_tag, far) * splat(1 + 0x1p-20f);
-        return s;
+    void visit(WideLink leaf, Bits groups) {
+        for (const std::uint32_t item : std::span(&scene_.items[leaf.first()], leaf.count()))
+            query_.visit(scene_.instances[item], groups);
+        for_each_bit(groups, [&](int g) { far_[g] = query_.reach(g, shaft_); });
     }
 
-    void test_block(const Block& block, const Slopes& slopes) {
-        Boxes anywhere;
-        for (int k = 0; k < 3; ++k)
-            anywhere.lo[k] = splat(-infinity), anywhere.hi[k] = splat(infinity);
-        Edges edges;
-        for (Bits may = may_hit(block, shaft_, slopes, anywhere, edges); may; may &= may - 1) {
-            const int lane = std::countr_zero(may);
-            if (block.ids[lane] == Block::no_triangle) break;
-            for (int k = 0; k < group_size; k += W)
-                if (not_outside(edges, lane, k)) exact_.test(block, lane, k);
-        }
-    }
-
-    HWY_INLINE Bits not_outside(const Edges& edges, int lane, int k) const {
-        const Float u = load(shaft_.u_ + k);
-        const Float v = load(shaft_.v_ + k);
-        Float least = splat(infinity);
-        for (const auto& n : edges.normals)
-            least = hn::Min(least, hn::MulAdd(splat(n[0][lane]), u,
-                                              hn::MulAdd(splat(n[1][lane]), v, splat(n[2][lane]))));
-        return bits(hn::Not(least < splat(-edges.slack[lane])));
-    }
-
-    const SceneObject& object_;
-    const Shaft& shaft_;
-    ExactGroup& exact_;
+    const Scene& scene_;
+    const vec3& origin_;
+    const PointRays& rays_;
+    const Alive& alive_;
+    Query& query_;
+    Shaft shaft_;
+    alignas(64) float far_[W];
 };
 
-void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> dirs,
-                  std::span<Hit> hits) {
-    for (std::size_t start = 0; start < dirs.size(); start += group_size) {
-        const std::size_t count = std::min<std::size_t>(group_size, dirs.size() - start);
-        const auto group = dirs.subspan(start, count);
-        const auto out = hits.subspan(start, count);
-        Directions rays;
-        rays.set(group, vec3(0));
-        Shaft shaft;
-        ExactGroup exact;
-        if (scene.single && is_finite(origin) && shaft.set(origin, rays, 0, int(count)) &&
-            exact.set(origin, group)) {
-            GroupClosest(scene.objects[0], shaft, exact).run();
-            for (std::size_t i = 0; i < count; ++i) out[i] = exact.hit(int(i));
-        } else {
-            for (std::size_t i = 0; i < count; ++i)
-                out[i] = trace<false>(scene, {origin, 0, group[i], infinity});
-        }
-    }
+template <class Query>
+void trace_instances(const Scene& scene, const vec3& origin, const PointRays& rays,
+                     const Alive& alive, Query& query) {
+    InstanceRays<Query>(scene, origin, rays, alive, query).run();
 }
 
 }  // namespace HWY_NAMESPACE

@@ -31,9 +31,18 @@ HWY_INLINE Float load(const float* p) { return hn::Load(lanes_tag, p); }
 HWY_INLINE void store(Float x, float* p) { hn::Store(x, lanes_tag, p); }
 
 HWY_INLINE Bits bits(Mask mask) {
+#if HWY_TARGET == HWY_AVX3
+    return mask.raw;  // what the loop over bytes would come to
+#else
     std::uint8_t bytes[8] = {};
     hn::StoreMaskBits(lanes_tag, mask, bytes);
-    return W <= 8 ? bytes[0] : Bits(bytes[0] | bytes[1] << 8);
+    return bytes[0];
+#endif
+}
+
+HWY_INLINE Mask mask_of(Bits set) {
+    const std::uint8_t bytes[8] = {std::uint8_t(set), std::uint8_t(set >> 8)};
+    return hn::LoadMaskBits(lanes_tag, bytes);
 }
 
 /// Calls `f` with the index of each bit that is set, from the lowest.
@@ -79,6 +88,12 @@ HWY_INLINE Float min_or_second(Float a, Float b) {
 #else
     return hn::IfThenElse(a < b, a, b);
 #endif
+}
+
+/// Right to 2^-21 and better.
+HWY_INLINE Float reciprocal(Float x) {
+    const Float r = hn::ApproximateReciprocal(x);
+    return r * hn::NegMulAdd(x, r, splat(2));
 }
 
 HWY_INLINE Float min3(Float a, Float b, Float c) { return hn::Min(a, hn::Min(b, c)); }

@@ -6,12 +6,14 @@
 
 namespace tessera {
 
-void Tracer::occluded_from(const vec3& origin, std::span<const vec3> targets,
-                           std::span<std::uint8_t> blocked, OccluderCache*) const {
-    std::vector<Ray> rays;
-    rays.reserve(targets.size());
-    for (const vec3& target : targets) rays.push_back({origin, 0, target - origin, 1});
-    occluded(rays, blocked);
+RayMask Tracer::occluded_from(const vec3& origin, const Targets& targets, const RayMask& wanted,
+                              OccluderCache*) const {
+    RayMask blocked{};
+    for (std::size_t i = 0; i < Targets::max_count; ++i)
+        if (has(wanted, i) && has(targets.finite, i) &&
+            occluded({origin, 0, targets.point(i) - origin, 1}))
+            set(blocked, i);
+    return blocked;
 }
 
 void Tracer::closest_from(const vec3& origin, std::span<const vec3> dirs,

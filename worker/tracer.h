@@ -10,6 +10,7 @@
 
 #include "common/math.h"
 #include "common/tile.h"
+#include "worker/targets.h"
 
 namespace tessera {
 
@@ -62,12 +63,11 @@ public:
     /// Sets `blocked[i]` to 1 when anything lies in tmin < t < tmax of ray i, else to 0.
     virtual void occluded(std::span<const Ray> rays, std::span<std::uint8_t> blocked) const = 0;
 
-    /// The same for rays that share their origin: sets `blocked[i]` to what `occluded` answers for
-    /// {origin, 0, targets[i] - origin, 1}, the open segment to the target. Fastest for hundreds of
-    /// targets of which each 16 in a row lie close together: a tile's points in 4x4 blocks, those
-    /// that face away left out. `cache` may be null.
-    virtual void occluded_from(const vec3& origin, std::span<const vec3> targets,
-                               std::span<std::uint8_t> blocked, OccluderCache* cache) const;
+    /// The same for rays that share their origin: returns those of the `wanted` rays for which
+    /// `occluded` answers 1 to {origin, 0, targets.point(i) - origin, 1}, the open segment to the
+    /// target. `cache` may be null.
+    virtual RayMask occluded_from(const vec3& origin, const Targets& targets, const RayMask& wanted,
+                                  OccluderCache* cache) const;
 
     /// Finds what `closest_hits` finds for the rays {origin, 0, dirs[i], infinity}. Fastest for
     /// dirs in the order that `occluded_from` likes.

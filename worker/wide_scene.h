@@ -1,7 +1,9 @@
-// What the kernels trace: two levels of wide trees (Wald 2004, chapter 9).
+// What the kernels trace: two levels of wide trees (Wald 2004, chapter 9), and how they are built.
 #pragma once
 
 #include "worker/affine.h"
+#include "worker/raw_vector.h"
+#include "worker/tracer.h"
 #include "worker/triangle.h"
 #include "worker/wide_tree.h"
 
@@ -11,7 +13,7 @@ namespace tessera {
 template <int width>
 struct WideObject {
     WideTree<width> tree;
-    std::vector<TriangleBlock<width>> blocks;
+    RawVector<TriangleBlock<width>> blocks;
 };
 
 struct WideInstance {
@@ -31,5 +33,19 @@ struct WideScene {
 
     const Box& bounds() const { return single ? objects[0].tree.bounds : top.bounds; }
 };
+
+/// What makes the objects' trees.
+enum class TreeBuilder : std::uint8_t {
+    bvh,     ///< worker/bvh.h: the default
+    kdtree,  ///< worker/kdtree.h: the thesis's, to be measured
+};
+
+/// Builds the tree of one object, in parallel on the caller's oneTBB arena.
+template <int width>
+WideObject<width> build_object(const TracerObject& object, TreeBuilder builder);
+
+/// Builds the level above `scene.objects` anew, in parallel on the caller's oneTBB arena.
+template <int width>
+void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances);
 
 }  // namespace tessera

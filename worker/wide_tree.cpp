@@ -1,116 +1,131 @@
 #include "worker/wide_tree.h"
 
+#include <tbb/parallel_invoke.h>
+
 #include <algorithm>
+#include <memory>
 
 namespace tessera {
 namespace {
 
-/// What the collapse must know of each kd-node.
-struct Content {
-    Box box;                             ///< of the items' parts in the cell
-    bool small = false;                  ///< becomes one leaf
-    std::uint32_t first = 0, count = 0;  ///< of a small node's items
+/// What a binary subtree costs at least as a forest of few trees, and how it is cut for that.
+template <int width>
+struct Forests {
+    float cost[width];          ///< of up to i + 1 trees
+    std::uint8_t below[width];  ///< so many of these are in the lower child; 0: one tree is best
+    std::uint8_t node_below;    ///< the same of the children of a wide node
+    bool leaf;                  ///< one tree is best a leaf
 };
 
 template <int width>
 class Collapse {
 public:
-    Collapse(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size,
-             std::uint32_t leaf_limit, const MakeLeaf& make_leaf)
+    Collapse(const BoxTree& tree, const WideCosts& costs, const MakeLeaf& make_leaf)
         : tree_(tree),
-          clipped_(clipped),
-          leaf_size_(leaf_size),
-          leaf_limit_(leaf_limit),
+          costs_(costs),
           make_leaf_(make_leaf),
-          contents_(tree.nodes.size()) {}
+          forests_(std::make_unique_for_overwrite<Forests<width>[]>(tree.nodes.size())) {}
 
     WideTree<width> run() {
-        gather(0, tree_.bounds);
-        out_.bounds = tree_.bounds;
-        fill(0, 0);
+        out_.bounds = tree_.nodes[0].box;
+        if (tree_.nodes[0].count > 0) {
+            weigh(0);
+            fill(0, 0);
+        }
+        out_.nodes.shrink_to_fit();
         return std::move(out_);
     }
 
 private:
-    /// Finds the contents of a kd-node and all below it. Lists of small nodes lie in lists_ one
-    /// after another, so that a parent's follow its children's.
-    void gather(std::uint32_t node, const Box& cell) {
-        const KdNode& kd = tree_.nodes[node];
-        Content& content = contents_[node];
-        content.first = std::uint32_t(lists_.size());
-        if (kd.is_leaf()) {
-            for (const std::uint32_t item : tree_.items_of(kd)) {
-                content.box.add(clipped_(item, cell));
-                lists_.push_back(item);
-            }
-            content.small = true;
-            content.count = kd.item_count();
+    /// Finds the cheapest forests of the node and of all below it.
+    void weigh(std::uint32_t node) {
+        constexpr std::uint32_t task_items = 4096;
+        const BoxNode& binary = tree_.nodes[node];
+        Forests<width>& forests = forests_[node];
+        const float area = binary.box.area();
+        const std::uint32_t blocks = (binary.count + costs_.block_size - 1) / costs_.block_size;
+        const float leaf_cost = costs_.block * area * float(blocks);
+        std::fill_n(forests.below, width, std::uint8_t(0));
+        forests.leaf = true;
+        if (binary.is_leaf()) {
+            std::fill_n(forests.cost, width, leaf_cost);
             return;
         }
-        Box lower = cell, upper = cell;
-        lower.hi[kd.axis()] = upper.lo[kd.axis()] = kd.position();
-        gather(kd.lower_child(), lower);
-        gather(kd.lower_child() + 1, upper);
-        const Content &a = contents_[kd.lower_child()], &b = contents_[kd.lower_child() + 1];
-        content.box = a.box;
-        content.box.add(b.box);
-        if (a.small && b.small) merge(content, a, b);
-    }
+        const std::uint32_t lower = binary.children, upper = lower + 1;
+        if (binary.count > task_items)
+            tbb::parallel_invoke([&] { weigh(lower); }, [&] { weigh(upper); });
+        else
+            weigh(lower), weigh(upper);
 
-    /// Makes one leaf of two that fit in one.
-    void merge(Content& content, const Content& a, const Content& b) {
-        const auto list = lists_.begin();
-        std::vector<std::uint32_t> both;
-        std::set_union(list + a.first, list + a.first + a.count, list + b.first,
-                       list + b.first + b.count, std::back_inserter(both));
-        if (both.size() > leaf_size_) return;
-        content.small = true;
-        content.count = std::uint32_t(both.size());
-        // Nothing looks at the children again.
-        lists_.resize(content.first);
-        lists_.insert(lists_.end(), both.begin(), both.end());
-    }
-
-    /// The kd-nodes that become the children: the largest is opened until all lanes are taken.
-    std::vector<std::uint32_t> descend(std::uint32_t node) const {
-        std::vector<std::uint32_t> found{node};
-        const auto area = [&](std::uint32_t n) {
-            return contents_[n].small ? -1.0f : contents_[n].box.area();
-        };
-        while (true) {
-            std::erase_if(found, [&](std::uint32_t n) { return contents_[n].box.empty(); });
-            const auto largest = std::ranges::max_element(found, {}, area);
-            if (largest == found.end() || contents_[*largest].small || found.size() == width)
-                return found;
-            const std::uint32_t lower = tree_.nodes[*largest].lower_child();
-            *largest = lower;
-            found.push_back(lower + 1);
+        for (int trees = 2; trees <= width; ++trees) cut(forests, trees, lower, upper);
+        forests.node_below = forests.below[width - 1];
+        const float node_cost = costs_.node * area + forests.cost[width - 1];
+        forests.leaf = blocks <= costs_.max_blocks && !(node_cost < leaf_cost);
+        forests.cost[0] = forests.leaf ? leaf_cost : node_cost;
+        for (int i = 1; i < width; ++i) {
+            if (forests.cost[i] < forests.cost[0]) continue;
+            forests.cost[i] = forests.cost[0];
+            forests.below[i] = 0;
         }
+    }
+
+    /// Cuts a forest of so many trees between the children.
+    void cut(Forests<width>& forests, int trees, std::uint32_t lower, std::uint32_t upper) const {
+        const float *a = forests_[lower].cost, *b = forests_[upper].cost;
+        float least = infinity;
+        int best = 1;
+        for (int i = 1; i < trees; ++i) {
+            const float cost = a[i - 1] + b[trees - i - 1];
+            if (cost < least) least = cost, best = i;
+        }
+        forests.cost[trees - 1] = least;
+        forests.below[trees - 1] = std::uint8_t(best);
+    }
+
+    /// The binary nodes that become the children of a wide node.
+    struct Children {
+        std::uint32_t nodes[width];
+        int count = 0;
+    };
+    void gather(Children& children, std::uint32_t node, int trees, int below) const {
+        if (below == 0) {
+            children.nodes[children.count++] = node;
+            return;
+        }
+        const std::uint32_t lower = tree_.nodes[node].children, upper = lower + 1;
+        gather(children, lower, below, forests_[lower].below[below - 1]);
+        gather(children, upper, trees - below, forests_[upper].below[trees - below - 1]);
     }
 
     void fill(std::uint32_t slot, std::uint32_t node) {
-        const std::vector<std::uint32_t> children = descend(node);
+        Children children;
+        gather(children, node, width, forests_[node].leaf ? 0 : forests_[node].node_below);
+        order(children);
         WideNode<width> wide;
-        std::vector<std::pair<std::uint32_t, std::uint32_t>> inner;  // slot, kd-node
-        for (std::size_t i = 0; i < children.size(); ++i) {
-            const Content& content = contents_[children[i]];
-            if (content.small) {
-                set_child(wide, i, content.box, leaf(content.box, items_of(content)));
-            } else {
-                inner.emplace_back(new_node(), children[i]);
-                set_child(wide, i, content.box, WideLink::node(inner.back().first));
-            }
+        for (int i = 0; i < children.count; ++i) {
+            const BoxNode& child = tree_.nodes[children.nodes[i]];
+            if (child.box.empty()) continue;
+            const WideLink link =
+                forests_[children.nodes[i]].leaf ? leaf(child) : WideLink::node(new_node());
+            wide.set_child(i, child.box, link);
         }
         out_.nodes[slot] = wide;
-        for (const auto& [child_slot, child] : inner) fill(child_slot, child);
+        for (int i = 0; i < children.count; ++i)
+            if (!forests_[children.nodes[i]].leaf)
+                fill(wide.children[i].first(), children.nodes[i]);
     }
 
-    static void set_child(WideNode<width>& wide, std::size_t lane, const Box& box, WideLink link) {
-        for (int k = 0; k < 3; ++k) {
-            wide.bounds[k][0][lane] = box.lo[k];
-            wide.bounds[k][1][lane] = box.hi[k];
-        }
-        wide.children[lane] = link;
+    /// Traversals that take lanes off a stack begin with the last. Any hit ends a shadow ray: first
+    /// comes what it meets likely, for being large, and can search soon, for holding little.
+    /// Measured against none, area and count alone, and leaves first: up to 40 % of the shadow
+    /// rays' speed.
+    void order(Children& children) const {
+        const auto promise = [&](std::uint32_t node) {
+            const BoxNode& binary = tree_.nodes[node];
+            return binary.box.area() / std::sqrt(float(binary.count));
+        };
+        std::stable_sort(children.nodes, children.nodes + children.count,
+                         [&](std::uint32_t a, std::uint32_t b) { return promise(a) < promise(b); });
     }
 
     std::uint32_t new_node() {
@@ -118,46 +133,46 @@ private:
         return std::uint32_t(out_.nodes.size() - 1);
     }
 
-    std::span<const std::uint32_t> items_of(const Content& content) const {
-        return {lists_.data() + content.first, content.count};
+    WideLink leaf(const BoxNode& node) {
+        const auto items = tree_.items_of(node);
+        if (!tree_.repeats) return leaf(node.box, items);
+        std::vector<std::uint32_t> once(items.begin(), items.end());
+        std::ranges::sort(once);
+        once.erase(std::unique(once.begin(), once.end()), once.end());
+        return leaf(node.box, once);
     }
 
     /// A leaf, or a node of leaves when there are too many items for one.
     WideLink leaf(const Box& box, std::span<const std::uint32_t> items) {
-        if (items.size() <= leaf_limit_) return make_leaf_(items);
+        const std::size_t limit = std::size_t(costs_.max_blocks) * costs_.block_size;
+        if (items.size() <= limit) return make_leaf_(items);
         const std::uint32_t slot = new_node();
         WideNode<width> wide;
         const std::size_t part = (items.size() + width - 1) / width;
         for (std::size_t i = 0; i * part < items.size(); ++i) {
             const std::size_t count = std::min(part, items.size() - i * part);
-            set_child(wide, i, box, leaf(box, items.subspan(i * part, count)));
+            wide.set_child(int(i), box, leaf(box, items.subspan(i * part, count)));
         }
         out_.nodes[slot] = wide;
         return WideLink::node(slot);
     }
 
-    const KdTree& tree_;
-    const ClippedBounds& clipped_;
-    std::uint32_t leaf_size_, leaf_limit_;
+    const BoxTree& tree_;
+    WideCosts costs_;
     const MakeLeaf& make_leaf_;
-    std::vector<Content> contents_;
-    std::vector<std::uint32_t> lists_;
+    std::unique_ptr<Forests<width>[]> forests_;
     WideTree<width> out_;
 };
 
 }  // namespace
 
 template <int width>
-WideTree<width> collapse(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size,
-                         std::uint32_t leaf_limit, const MakeLeaf& make_leaf) {
-    return Collapse<width>(tree, clipped, leaf_size, leaf_limit, make_leaf).run();
+WideTree<width> collapse(const BoxTree& tree, const WideCosts& costs, const MakeLeaf& make_leaf) {
+    return Collapse<width>(tree, costs, make_leaf).run();
 }
 
-template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
-                              const MakeLeaf&);
-template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
-                              const MakeLeaf&);
-template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t, std::uint32_t,
-                               const MakeLeaf&);
+template WideTree<4> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
+template WideTree<8> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
+template WideTree<16> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
 
 }  // namespace tessera

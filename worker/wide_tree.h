@@ -1,16 +1,15 @@
-// The kd-tree collapsed to nodes of many children, so that one SIMD step decides them all.
+// Trees of many children a node, so that one SIMD step decides them all: made from binary ones.
 //
-// Each wide node gathers the kd-tree's nodes that a greedy descent by surface area meets first, as
-// Wald, Benthin and Boulos, "Getting Rid of Packets" (2008), collapse a BVH; a child's bounds are
-// those of its contents, clipped to the kd-tree's cells. With that it is a kd-tree no longer but a
-// wide tree of spatial splits (Stich, Friedrich and Dietrich, "Spatial Splits in Bounding Volume
-// Hierarchies", 2009): it keeps the kd-tree's partition of space, in which what lies in two leaves
-// is there twice, and gains boxes that fit.
+// Wald, Benthin and Boulos, "Getting Rid of Packets" (2008) collapse binary trees by a greedy
+// descent; here the nodes and leaves that cost least by the surface area heuristic are found, by
+// dynamic programming, as by Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs
+// Through Compressed Wide BVHs" (2017). We differ in that leaves are cut into SIMD blocks, of which
+// each costs the same.
 #pragma once
 
 #include <functional>
 
-#include "worker/kdtree.h"
+#include "worker/box_tree.h"
 
 namespace tessera {
 
@@ -46,6 +45,7 @@ struct alignas(4 * width) WideNode {
     WideLink children[width] = {};
 
     WideNode();
+    void set_child(int lane, const Box& box, WideLink link);
 };
 
 /// Node 0 is the root.
@@ -57,23 +57,27 @@ struct WideTree {
 
 /// What a traversal stack must hold.
 template <int width>
-inline constexpr int wide_stack_size = (kdtree_max_depth + 8) * width;
+inline constexpr int wide_stack_size = (box_tree_max_depth + 8) * width;
 
 /// Stores a leaf's items, in at most WideLink::max_count units; returns where.
 using MakeLeaf = std::function<WideLink(std::span<const std::uint32_t> items)>;
 
-/// Collapses `tree`. `clipped` is what it was built with; subtrees of up to `leaf_size` different
-/// items become one leaf, which is cut in parts when it exceeds `leaf_limit`.
-template <int width>
-WideTree<width> collapse(const KdTree& tree, const ClippedBounds& clipped, std::uint32_t leaf_size,
-                         std::uint32_t leaf_limit, const MakeLeaf& make_leaf);
+/// What visits cost: a ray pays for a wide node, and for each block of items of a leaf.
+struct WideCosts {
+    float node = 1;
+    float block = 1;
+    std::uint32_t block_size = 1;                    ///< items
+    std::uint32_t max_blocks = WideLink::max_count;  ///< of a leaf
+};
 
-extern template WideTree<4> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                                     std::uint32_t, const MakeLeaf&);
-extern template WideTree<8> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                                     std::uint32_t, const MakeLeaf&);
-extern template WideTree<16> collapse(const KdTree&, const ClippedBounds&, std::uint32_t,
-                                      std::uint32_t, const MakeLeaf&);
+/// Collapses `tree` so that it costs least; every run of its items that becomes a leaf goes through
+/// `make_leaf`, one after another.
+template <int width>
+WideTree<width> collapse(const BoxTree& tree, const WideCosts& costs, const MakeLeaf& make_leaf);
+
+extern template WideTree<4> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
+extern template WideTree<8> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
+extern template WideTree<16> collapse(const BoxTree&, const WideCosts&, const MakeLeaf&);
 
 template <int width>
 WideNode<width>::WideNode() {
@@ -81,6 +85,15 @@ WideNode<width>::WideNode() {
         std::fill_n(lo, width, infinity);
         std::fill_n(hi, width, -infinity);
     }
+}
+
+template <int width>
+void WideNode<width>::set_child(int lane, const Box& box, WideLink link) {
+    for (int k = 0; k < 3; ++k) {
+        bounds[k][0][lane] = box.lo[k];
+        bounds[k][1][lane] = box.hi[k];
+    }
+    children[lane] = link;
 }
 
 }  // namespace tessera

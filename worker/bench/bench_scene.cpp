@@ -11,8 +11,8 @@ std::size_t BenchScene::triangles() const {
     return count;
 }
 
-std::unique_ptr<Tracer> BenchScene::build_ours(int threads) const {
-    return build_tracer(TracerKind::kdtree, geometry.objects(), geometry.instances, threads);
+std::unique_ptr<Tracer> BenchScene::build_ours(int threads, TreeBuilder builder) const {
+    return build_kdtree_tracer(geometry.objects(), geometry.instances, threads, builder);
 }
 
 std::unique_ptr<EmbreeScene> BenchScene::build_embree(int threads) const {

@@ -3,6 +3,7 @@
 
 #include "worker/bench/tracer_scenes.h"
 #include "worker/embree_scene.h"
+#include "worker/kdtree_tracer.h"
 
 namespace tessera {
 
@@ -12,7 +13,7 @@ struct BenchScene {
 
     /// Triangles in memory: those of instanced objects once.
     std::size_t triangles() const;
-    std::unique_ptr<Tracer> build_ours(int threads) const;
+    std::unique_ptr<Tracer> build_ours(int threads, TreeBuilder builder = TreeBuilder::bvh) const;
     std::unique_ptr<EmbreeScene> build_embree(int threads) const;
 };
 

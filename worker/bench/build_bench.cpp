@@ -3,20 +3,30 @@
 #include <fmt/format.h>
 #include <tbb/task_arena.h>
 
+#include <functional>
 #include <nlohmann/json.hpp>
-#include <set>
 #include <thread>
 
 #include "worker/bench/bench_scene.h"
+#include "worker/bench/embree_rebuild.h"
 #include "worker/bench/measure.h"
-#include "worker/clip.h"
-#include "worker/kdtree.h"
-#include "worker/triangle.h"
+#include "worker/bench/strategy_bench.h"
+#include "worker/kernels.h"
 
 namespace tessera {
 namespace {
 
-// Build times -----------------------------------------------------------------------------------
+using Build = std::function<void()>;
+
+/// What is built, by whom.
+struct Contest {
+    std::string scene;
+    std::string what;  ///< is built: all, the top level alone...
+    std::size_t triangles = 0, instances = 0;
+    std::string peer;  ///< Embree's quality
+    int threads = 1;
+    Build ours, embree;
+};
 
 /// With one thread CPU time, which other processes do not disturb; with more, what a user waits.
 double build_clock(int threads) {
@@ -26,27 +36,33 @@ double build_clock(int threads) {
     return double(now.tv_sec) + 1e-9 * double(now.tv_nsec);
 }
 
-template <class Build>
-double seconds_of(int threads, Build&& build) {
-    const double start = build_clock(threads);
-    const auto built = build();
-    return build_clock(threads) - start;
+/// Of one build: short ones are repeated until there is something to measure.
+double seconds_of(int threads, const Build& build) {
+    constexpr double measurable = 2e-3;
+    for (int repetitions = 1;; repetitions *= 4) {
+        const double start = build_clock(threads);
+        for (int i = 0; i < repetitions; ++i) build();
+        const double seconds = build_clock(threads) - start;
+        if (seconds > measurable) return seconds / repetitions;
+    }
 }
 
-nlohmann::json time_builds(const BenchScene& scene, int threads, int repetitions) {
+nlohmann::json time_builds(const Contest& contest, int repetitions) {
     constexpr double enough_seconds = 20;  // large scenes build less often
     std::vector<double> ours, embree;
     double total = 0;
     for (int i = 0; i < repetitions && total < enough_seconds; ++i) {
-        ours.push_back(seconds_of(threads, [&] { return scene.build_ours(threads); }));
-        embree.push_back(seconds_of(threads, [&] { return scene.build_embree(threads); }));
+        ours.push_back(seconds_of(contest.threads, contest.ours));
+        embree.push_back(seconds_of(contest.threads, contest.embree));
         total += ours.back() + embree.back();
     }
     const Spread our_spread = spread_of(ours), embree_spread = spread_of(embree);
-    return {{"scene", scene.geometry.name},
-            {"triangles", scene.triangles()},
-            {"instances", scene.geometry.instances.size()},
-            {"threads", threads},
+    return {{"scene", contest.scene},
+            {"what", contest.what},
+            {"triangles", contest.triangles},
+            {"instances", contest.instances},
+            {"threads", contest.threads},
+            {"embree_quality", contest.peer},
             {"repetitions", ours.size()},
             {"ours_seconds", our_spread.median},
             {"ours_spread", our_spread.relative()},
@@ -55,18 +71,97 @@ nlohmann::json time_builds(const BenchScene& scene, int threads, int repetitions
             {"ratio", our_spread.median / embree_spread.median}};
 }
 
+void print_heading(int repetitions) {
+    fmt::print(
+        "Milliseconds to build, median of up to {} and its spread (MAD); ratio ours / Embree's.\n"
+        "{:<14} {:<10} {:>9} {:>9} {:>7} {:>10} {:>6} {:>10} {:>6} {:<7} {:>6}\n",
+        repetitions, "scene", "built", "triangles", "instances", "threads", "ours", "+-", "Embree",
+        "+-", "quality", "ratio");
+}
+
 void print_build(const nlohmann::json& r) {
-    fmt::print("{:<20} {:>9} {:>9} {:>7} {:>11.4f} {:>6.1f}% {:>11.4f} {:>6.1f}% {:>6.2f}\n",
-               r["scene"].get<std::string>(), r["triangles"].get<std::size_t>(),
-               r["instances"].get<std::size_t>(), r["threads"].get<int>(),
-               r["ours_seconds"].get<double>(), 100 * r["ours_spread"].get<double>(),
-               r["embree_seconds"].get<double>(), 100 * r["embree_spread"].get<double>(),
-               r["ratio"].get<double>());
+    const auto number = [&](const char* field) { return r[field].get<double>(); };
+    const auto count = [&](const char* field) { return r[field].get<std::size_t>(); };
+    fmt::print(
+        "{:<14} {:<10} {:>9} {:>9} {:>7} {:>10.3f} {:>5.1f}% {:>10.3f} {:>5.1f}% {:<7} {:>6.2f}\n",
+        r["scene"].get<std::string>(), r["what"].get<std::string>(), count("triangles"),
+        count("instances"), count("threads"), 1e3 * number("ours_seconds"),
+        100 * number("ours_spread"), 1e3 * number("embree_seconds"), 100 * number("embree_spread"),
+        r["embree_quality"].get<std::string>(), number("ratio"));
     std::fflush(stdout);
 }
 
+Contest contest_of(const BenchScene& scene, const char* what, const char* peer, int threads) {
+    return {scene.geometry.name,
+            what,
+            scene.triangles(),
+            scene.geometry.instances.size(),
+            peer,
+            threads,
+            {},
+            {}};
+}
+
+/// Everything, as a new scene needs it.
+Contest whole_scene(const BenchScene& scene, int threads) {
+    Contest out = contest_of(scene, "all", "HIGH", threads);
+    out.ours = [&scene, threads] { scene.build_ours(threads); };
+    out.embree = [&scene, threads] { scene.build_embree(threads); };
+    return out;
+}
+
+/// `build` in an arena of so many threads, which lives as long as the builds go on.
+Build in_arena(int threads, Build build) {
+    const auto arena = std::make_shared<tbb::task_arena>(threads);
+    return [arena, build = std::move(build)] { arena->execute(build); };
+}
+
+/// Calls `f` with the width that this machine traces best, as a type.
+template <class F>
+auto with_width(F&& f) {
+    switch (width_of(chosen_isa())) {
+        case 4:
+            return f(std::integral_constant<int, 4>());
+        case 8:
+            return f(std::integral_constant<int, 8>());
+        default:
+            return f(std::integral_constant<int, 16>());
+    }
+}
+
+/// A mesh whose vertices have all moved.
+Contest deforming_mesh(const BenchScene& scene, RTCBuildQuality quality, int threads) {
+    const char* const peer = quality == RTC_BUILD_QUALITY_LOW ? "LOW" : "REFIT";
+    Contest out = contest_of(scene, "object", peer, threads);
+    const TracerObject object = scene.geometry.objects()[0];
+    out.ours = with_width([&]<int width>(std::integral_constant<int, width>) {
+        return in_arena(threads, [object] { build_object<width>(object, TreeBuilder::bvh); });
+    });
+    const auto embree = std::make_shared<EmbreeRebuild>(
+        EmbreeRebuild::of_mesh(scene.geometry.meshes[0], quality, threads));
+    out.embree = [embree] { embree->rebuild(); };
+    return out;
+}
+
+/// The level above objects that stay, when all instances have moved.
+Contest top_level(const BenchScene& scene, int threads) {
+    Contest out = contest_of(scene, "top level", "LOW", threads);
+    const TestScene& geometry = scene.geometry;
+    out.ours = with_width([&]<int width>(std::integral_constant<int, width>) {
+        const auto built = std::make_shared<WideScene<width>>();
+        for (const TracerObject& object : geometry.objects())
+            built->objects.push_back(build_object<width>(object, TreeBuilder::bvh));
+        return in_arena(threads,
+                        [built, &geometry] { build_top(*built, std::span(geometry.instances)); });
+    });
+    const auto embree =
+        std::make_shared<EmbreeRebuild>(EmbreeRebuild::of_instances(geometry, threads));
+    out.embree = [embree] { embree->rebuild(); };
+    return out;
+}
+
 BenchScene instanced_field(int count) {
-    TestScene scene{fmt::format("instances_{}", count), {sphere_mesh(4, 5, 0.5f)}, {}};
+    TestScene scene{fmt::format("field_{}", count), {sphere_mesh(4, 5, 0.5f)}, {}};
     Random random(8);
     for (int i = 0; i < count; ++i)
         scene.instances.push_back(
@@ -74,222 +169,43 @@ BenchScene instanced_field(int count) {
     return {std::move(scene), {}};
 }
 
-/// What is rebuilt for every frame: a deforming object, and a top level over many instances.
-std::vector<BenchScene> dynamic_scenes() {
-    return {{scene_of("deforming_64k", sphere_mesh(180, 179, 1)), {}},
-            instanced_field(661),
-            instanced_field(28'000)};
-}
-
-// Strategies ------------------------------------------------------------------------------------
-
-/// Per-ray counts of table 7.5.
-struct Counts {
-    std::uint64_t steps = 0;  ///< inner nodes
-    std::uint64_t empty_leaves = 0;
-    std::uint64_t full_leaves = 0;
-    std::uint64_t tests = 0;
-    std::uint64_t tests_with_mailbox = 0;  ///< triangles, each counted once a ray
-};
-
-struct StrategyTree {
-    std::span<const Triangle> triangles;
-    KdTree tree;
-};
-
-std::vector<Triangle> world_triangles(const TestScene& scene) {
-    const Mesh mesh = flattened(scene).meshes[0];
-    std::vector<Triangle> triangles;
-    for (const uvec3& v : mesh.triangles) {
-        const Triangle t{mesh.positions[v.x], mesh.positions[v.y], mesh.positions[v.z],
-                         std::uint32_t(triangles.size())};
-        if (!is_degenerate(t)) triangles.push_back(t);
-    }
-    return triangles;
-}
-
-KdTree build_tree(const std::vector<Triangle>& triangles, KdStrategy strategy) {
-    return tbb::task_arena(1).execute([&] {
-        return build_kdtree(
-            std::uint32_t(triangles.size()),
-            [&](std::uint32_t i, const Box& cell) { return clipped_bounds(triangles[i], cell); },
-            {.traversal = 1, .intersection = 1, .strategy = strategy});
-    });
-}
-
-bool clip_to(const Box& box, const Ray& ray, float& t_near, float& t_far) {
-    for (int k = 0; k < 3; ++k) {
-        const bool negative = std::signbit(ray.dir[k]);
-        const float entry = ((negative ? box.hi[k] : box.lo[k]) - ray.org[k]) / ray.dir[k];
-        const float exit = ((negative ? box.lo[k] : box.hi[k]) - ray.org[k]) / ray.dir[k];
-        t_near = entry > t_near ? entry : t_near;
-        t_far = exit < t_far ? exit : t_far;
-    }
-    return t_near <= t_far;
-}
-
-/// The traversal that the thesis counts (7.2.2), a ray at a time and with its errors corrected.
-/// Returns the closest t.
-template <bool counted>
-float trace(const StrategyTree& in, const Ray& ray, Counts& counts) {
-    struct Entry {
-        const KdNode* node;
-        float t_near, t_far;
-    };
-    Entry stack[kdtree_max_depth];
-    int top = 0;
-    const TriangleRay triangle_ray(ray);
-    std::set<std::uint32_t> mailbox;
-    float t_hit = ray.tmax;
-    float t_near = 0, t_far = infinity;
-    if (!clip_to(in.tree.bounds, ray, t_near, t_far)) return t_hit;
-    const KdNode* node = in.tree.nodes.data();
-    while (true) {
-        while (!node->is_leaf()) {
-            if constexpr (counted) ++counts.steps;
-            const int axis = node->axis();
-            const float d = (node->position() - ray.org[axis]) / ray.dir[axis];
-            const KdNode* const children = in.tree.nodes.data() + node->lower_child();
-            const bool negative = std::signbit(ray.dir[axis]);
-            if (d > t_far) {
-                node = children + negative;
-            } else if (d < t_near) {
-                node = children + !negative;
-            } else {
-                stack[top++] = {children + !negative, d > t_near ? d : t_near, t_far};
-                node = children + negative;
-                t_far = d < t_far ? d : t_far;
-            }
-        }
-        if constexpr (counted)
-            ++(node->item_count() > 0 ? counts.full_leaves : counts.empty_leaves);
-        for (const std::uint32_t item : in.tree.items_of(*node)) {
-            if constexpr (counted) {
-                ++counts.tests;
-                counts.tests_with_mailbox += mailbox.insert(item).second;
-            }
-            TriangleHit hit;
-            if (triangle_ray.hits(in.triangles[item], hit)) t_hit = std::min(t_hit, hit.t);
-        }
-        // Done when the hit lies before whatever is left.
-        if (top == 0 || stack[top - 1].t_near > t_hit) return t_hit;
-        --top;
-        node = stack[top].node;
-        t_near = stack[top].t_near;
-        t_far = stack[top].t_far;
-    }
-}
-
-std::vector<Ray> view_rays(const Camera& camera, int side) {
-    std::vector<Ray> rays;
-    for (int y = 0; y < side; ++y)
-        for (int x = 0; x < side; ++x)
-            rays.push_back({camera.eye, 0, view_dir(camera, side, x, y), infinity});
-    return rays;
-}
-
-nlohmann::json measure_strategy(const BenchScene& scene, const std::vector<Triangle>& triangles,
-                                KdStrategy strategy, int view) {
-    constexpr const char* names[] = {"sah", "round_robin", "middle", "plane_shifter"};
-    StrategyTree in{triangles, {}};
-    double start = thread_seconds();
-    in.tree = build_tree(triangles, strategy);
-    const double build_seconds = thread_seconds() - start;
-
-    const std::vector<Ray> rays = view_rays(scene.camera, view);
-    const auto ours =
-        build_tracer(TracerKind::kdtree, scene.geometry.objects(), scene.geometry.instances, 1);
-    Counts counts, unused;
-    std::uint64_t mismatches = 0;
-    for (const Ray& ray : rays) {
-        const float t = trace<true>(in, ray, counts), expected = ours->closest_hit(ray).t;
-        mismatches += !(t == expected || std::abs(t - expected) <= 1e-4f * expected);
-    }
-    start = thread_seconds();
-    for (const Ray& ray : rays) trace<false>(in, ray, unused);
-    const double seconds = thread_seconds() - start;
-    const auto per_ray = [&](std::uint64_t count) { return double(count) / double(rays.size()); };
-    return {{"strategy", names[int(strategy)]},
-            {"build_seconds", build_seconds},
-            {"nodes", in.tree.nodes.size()},
-            {"items", in.tree.items.size()},
-            {"steps", per_ray(counts.steps)},
-            {"empty_leaves", per_ray(counts.empty_leaves)},
-            {"full_leaves", per_ray(counts.full_leaves)},
-            {"triangle_tests", per_ray(counts.tests)},
-            {"triangle_tests_with_mailbox", per_ray(counts.tests_with_mailbox)},
-            {"mrays_per_s", 1e-6 * double(rays.size()) / seconds},
-            {"mismatches", mismatches}};
-}
-
-void print_strategy(const std::string& scene, const nlohmann::json& s) {
-    const auto number = [&](const char* field) { return s[field].get<double>(); };
-    fmt::print(
-        "{:<20} {:<14} {:>7.2f} {:>6.2f} ({:.2f} + {:.2f}) {:>7.2f} / {:<6.2f} {:>6.2f} "
-        "{:>8.2f} {:>9} {:>6}\n",
-        scene, s["strategy"].get<std::string>(), number("steps"),
-        number("empty_leaves") + number("full_leaves"), number("empty_leaves"),
-        number("full_leaves"), number("triangle_tests"), number("triangle_tests_with_mailbox"),
-        number("mrays_per_s"), number("build_seconds"), s["nodes"].get<std::size_t>(),
-        s["mismatches"].get<std::uint64_t>());
-    std::fflush(stdout);
-}
-
-nlohmann::json measure_strategies(const BenchScene& scene, int view) {
-    const std::vector<Triangle> triangles = world_triangles(scene.geometry);
-    nlohmann::json out = nlohmann::json::array();
-    for (const KdStrategy strategy : {KdStrategy::round_robin, KdStrategy::middle,
-                                      KdStrategy::plane_shifter, KdStrategy::sah}) {
-        out.push_back(measure_strategy(scene, triangles, strategy, view));
-        print_strategy(scene.geometry.name, out.back());
-    }
-    return out;
-}
-
-/// Triangles of all instances: what a single tree would hold.
-std::size_t placed_triangles(const TestScene& scene) {
-    std::size_t count = 0;
-    for (const TracerInstance& i : scene.instances)
-        count += scene.meshes[i.object].triangles.size();
-    return count;
-}
-
 }  // namespace
 
 nlohmann::json bench_build(const std::vector<std::string>& names, const BuildBenchConfig& config) {
-    constexpr std::size_t largest_single_tree = 4'000'000;  // triangles; memory
     const int all_threads = std::max(2, int(std::thread::hardware_concurrency()));
     std::vector<BenchScene> scenes;
     for (const std::string& name : names) scenes.push_back(load_bench_scene(name));
 
-    fmt::print(
-        "Seconds to build, median of up to {} and its spread (MAD); ratio ours / Embree's.\n"
-        "{:<20} {:>9} {:>9} {:>7} {:>11} {:>7} {:>11} {:>7} {:>6}\n",
-        config.repetitions, "scene", "triangles", "instances", "threads", "ours", "+-",
-        "Embree HIGH", "+-", "ratio");
+    print_heading(config.repetitions);
     nlohmann::json results = nlohmann::json::array();
+    const auto time = [&](const Contest& contest) {
+        contest.ours();  // what comes first would pay for the process
+        results.push_back(time_builds(contest, config.repetitions));
+        print_build(results.back());
+    };
     const auto time_scene = [&](const BenchScene& scene) {
-        for (const int threads : {1, all_threads}) {
-            results.push_back(time_builds(scene, threads, config.repetitions));
-            print_build(results.back());
-        }
+        for (const int threads : {1, all_threads}) time(whole_scene(scene, threads));
     };
     std::vector<std::size_t> entry_of_scene;
     for (const BenchScene& scene : scenes) {
         entry_of_scene.push_back(results.size());
         time_scene(scene);
     }
-    for (const BenchScene& scene : dynamic_scenes()) time_scene(scene);
+    // What is built for every frame.
+    const BenchScene deforming{scene_of("deforming_64k", sphere_mesh(180, 179, 1)), {}};
+    for (const RTCBuildQuality quality : {RTC_BUILD_QUALITY_LOW, RTC_BUILD_QUALITY_REFIT})
+        for (const int threads : {1, all_threads})
+            time(deforming_mesh(deforming, quality, threads));
+    for (const BenchScene& field : {instanced_field(661), load_bench_scene("sunflowers")}) {
+        time_scene(field);
+        for (const int threads : {1, all_threads}) time(top_level(field, threads));
+    }
 
-    fmt::print(
-        "\nBuilding strategies (Wald 2004, tables 7.4 and 7.5), all instances in one binary "
-        "tree, primary rays one by one.\n"
-        "{:<20} {:<14} {:>7} {:>22} {:>16} {:>6} {:>8} {:>9} {:>6}\n",
-        "scene", "strategy", "steps", "leaves (empty + full)", "tests / mailbox", "Mray/s",
-        "build s", "nodes", "differ");
-    for (std::size_t i = 0; i < scenes.size(); ++i)
-        if (placed_triangles(scenes[i].geometry) <= largest_single_tree)
-            results[entry_of_scene[i]]["strategies"] = measure_strategies(scenes[i], config.view);
+    print_strategy_heading();
+    for (std::size_t i = 0; i < scenes.size(); ++i) {
+        const nlohmann::json strategies = bench_strategies(scenes[i], config.view);
+        if (!strategies.is_null()) results[entry_of_scene[i]]["strategies"] = strategies;
+    }
     return results;
 }
 

@@ -20,6 +20,8 @@ struct Options {
     std::string json;
     bool quick = false;
     bool flatten = false;
+    std::vector<std::string> kinds;
+    bool kdtree = false;
     bool long_run = false;
     std::uint64_t rays = 200'000;
 };
@@ -50,10 +52,15 @@ void add_trace(CLI::App& app, Options& options) {
         add_benchmark(app, options, "trace", "Rays a second, ours beside Embree's best");
     add_scenes(command, options);
     command->add_flag("--flatten", options.flatten, "trace all instances as one object");
+    command->add_option("--kind", options.kinds, "trace these rays only")
+        ->check(CLI::IsMember(ray_kind_names()));
+    command->add_flag("--kdtree", options.kdtree, "trace kd-trees instead of BVHs");
     command->callback([&options] {
         TraceBenchConfig config;
         if (options.quick) config = {.view = 128, .repetitions = 3, .vpls = 4};
         config.flatten = options.flatten;
+        if (!options.kinds.empty()) config.kinds = options.kinds;
+        if (options.kdtree) config.builder = TreeBuilder::kdtree;
         write_json(options.json, bench_trace(options.scenes, config));
     });
 }

@@ -61,12 +61,12 @@ std::uint64_t count_wrong_packets(const Tracer& tracer, std::span<const Ray> ray
     std::uint64_t wrong = 0;
     std::vector<vec3> dirs, targets;
     std::vector<Hit> hits;
-    std::vector<std::uint8_t> blocked;
     for (std::size_t first = 0, end = 0; first < rays.size(); first = end) {
         const vec3& org = rays[first].org;
         dirs.clear();
         targets.clear();
-        for (end = first; end < rays.size() && rays[end].org == org; ++end) {
+        for (end = first;
+             end < rays.size() && end - first < Targets::max_count && rays[end].org == org; ++end) {
             dirs.push_back(rays[end].dir);
             targets.push_back(org + 4.0f * rays[end].dir);
         }
@@ -75,12 +75,13 @@ std::uint64_t count_wrong_packets(const Tracer& tracer, std::span<const Ray> ray
             continue;
         }
         hits.resize(dirs.size());
-        blocked.resize(dirs.size());
         tracer.closest_from(org, dirs, hits);
-        tracer.occluded_from(org, targets, blocked, nullptr);
+        RayMask all;
+        all.fill(0xffff);
+        const RayMask blocked = tracer.occluded_from(org, Targets(targets), all, nullptr);
         for (std::size_t i = 0; i < dirs.size(); ++i)
             wrong += !verdicts[first + i].allows(hits[i]) ||
-                     !verdicts[first + i].allows(blocked[i] != 0);
+                     !verdicts[first + i].allows(has(blocked, i));
     }
     return wrong;
 }

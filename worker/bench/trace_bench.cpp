@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "common/check.h"
 #include "worker/bench/bench_scene.h"
@@ -41,12 +42,20 @@ constexpr RayKind kinds[] = {
     {"bounce_occlusion", {.occlusion = true, .coherent = false}, false, 64},
 };
 
+/// What our packets take of a group of shadow rays.
+struct ShadowGroup {
+    std::size_t tile = 0;  ///< of the block
+    std::uint32_t emitter = 0;
+    RayMask wanted{};  ///< the group's rays in their order
+};
+
 /// Rays that are traced in one turn.
 struct Block {
     std::vector<Ray> rays;
     std::vector<RayGroup> groups;
-    std::vector<std::uint32_t> emitters;  ///< of vpl_shadow: the group's VPL
-    std::vector<vec3> ends;  ///< what our packets take: targets of vpl_shadow, dirs of primary
+    std::vector<ShadowGroup> shadow_groups;      ///< of vpl_shadow, for each group
+    std::vector<std::vector<vec3>> tile_points;  ///< of vpl_shadow, for each tile
+    std::vector<vec3> dirs;                      ///< of primary, for each ray
 
     void begin_group() { groups.push_back({std::uint32_t(rays.size()), 0}); }
     void add(const Ray& ray) {
@@ -90,7 +99,7 @@ public:
     TraceBench(const std::string& scene, const TraceBenchConfig& config)
         : config_(config),
           scene_(load(scene, config)),
-          ours_(scene_.build_ours(1)),
+          ours_(scene_.build_ours(1, config.builder)),
           embree_(scene_.build_embree(1)),
           caches_(std::size_t(config.vpls)) {
         const Box bounds = ours_->bounds();
@@ -109,13 +118,15 @@ private:
     void place_emitters();
     SurfacePoint surface_point(const Ray& ray, const Hit& hit) const;
     vec3 tile_dir(int tile, int pixel) const;
+    std::vector<vec3> shadow_ends(int tile) const;
     Ray bounce_ray(const SurfacePoint& from, Random& random) const;
 
     Block make_block(KindIndex kind, int first_tile) const;
     void add_tile(Block& block, KindIndex kind, int tile) const;
-    void add_shadow_rays(Block& block, int tile, std::uint32_t emitter) const;
+    void add_shadow_rays(Block& block, std::uint32_t emitter, int tile) const;
 
     double time_ours(KindIndex kind, const Block& block, Answers& answers);
+    double time_shadows(const Block& block, Answers& answers);
     double time_embree(EmbreeQuery& query, const Block& block);
     RayUse embree_use(KindIndex kind) const;
     EmbreeCall best_call(KindIndex kind);
@@ -195,33 +206,44 @@ Ray TraceBench::bounce_ray(const SurfacePoint& from, Random& random) const {
             Frame(from.ng).world_from_local(local), infinity};
 }
 
-/// The points of a tile that face the VPL and that it faces.
-void TraceBench::add_shadow_rays(Block& block, int tile, std::uint32_t emitter) const {
+/// To the points of the tile, the block's latest, that face the VPL and that it faces.
+void TraceBench::add_shadow_rays(Block& block, std::uint32_t emitter, int tile) const {
     const SurfacePoint& vpl = emitters_[emitter];
     block.begin_group();
-    block.emitters.push_back(emitter);
+    ShadowGroup group{block.tile_points.size() - 1, emitter, {}};
     for (int i = 0; i < tile_pixels; ++i) {
         const SurfacePoint& point = points_[std::size_t(tile) * tile_pixels + std::size_t(i)];
-        if (!point.valid()) continue;
-        const vec3 target = offset_point(point.p, point.ng, point.ng, scale_);
-        const vec3 dir = target - vpl.p;
-        if (!(dot(dir, vpl.ng) > 0 && dot(dir, point.ng) < 0)) continue;
+        const vec3 dir = block.tile_points.back()[std::size_t(i)] - vpl.p;
+        if (!point.valid() || !(dot(dir, vpl.ng) > 0 && dot(dir, point.ng) < 0)) continue;
         block.add({vpl.p, 0, dir, 1});
-        block.ends.push_back(target);
+        set(group.wanted, std::size_t(i));
     }
+    block.shadow_groups.push_back(group);
+}
+
+/// Where shadow rays to the tile's points end; NaN where there are none.
+std::vector<vec3> TraceBench::shadow_ends(int tile) const {
+    std::vector<vec3> ends;
+    for (int i = 0; i < tile_pixels; ++i) {
+        const SurfacePoint& point = points_[std::size_t(tile) * tile_pixels + std::size_t(i)];
+        ends.push_back(point.valid() ? offset_point(point.p, point.ng, point.ng, scale_)
+                                     : vec3(std::numeric_limits<float>::quiet_NaN()));
+    }
+    return ends;
 }
 
 void TraceBench::add_tile(Block& block, KindIndex kind, int tile) const {
     if (kind == vpl_shadow) {
-        for (std::uint32_t i = 0; i < emitters_.size(); ++i) add_shadow_rays(block, tile, i);
+        block.tile_points.push_back(shadow_ends(tile));
+        for (std::uint32_t i = 0; i < emitters_.size(); ++i) add_shadow_rays(block, i, tile);
         return;
     }
     block.begin_group();
     Random random{std::uint32_t(tile)};
     for (int i = 0; i < tile_pixels; ++i) {
         if (kind == primary) {
-            block.ends.push_back(tile_dir(tile, i));
-            block.add({scene_.camera.eye, 0, block.ends.back(), infinity});
+            block.dirs.push_back(tile_dir(tile, i));
+            block.add({scene_.camera.eye, 0, block.dirs.back(), infinity});
             continue;
         }
         const SurfacePoint& point = points_[std::size_t(tile) * tile_pixels + std::size_t(i)];
@@ -240,18 +262,14 @@ Block TraceBench::make_block(KindIndex kind, int first_tile) const {
 }
 
 double TraceBench::time_ours(KindIndex kind, const Block& block, Answers& answers) {
-    const std::span<const vec3> ends(block.ends);
+    if (kind == vpl_shadow) return time_shadows(block, answers);
     const std::span<Hit> hits(answers.hits);
     const std::span<std::uint8_t> blocked(answers.blocked);
     const double start = thread_seconds();
-    for (std::size_t g = 0; g < block.groups.size(); ++g) {
-        const auto [first, count] = block.groups[g];
+    for (const auto& [first, count] : block.groups) {
         if (kind == primary)
-            ours_->closest_from(scene_.camera.eye, ends.subspan(first, count),
+            ours_->closest_from(scene_.camera.eye, std::span(block.dirs).subspan(first, count),
                                 hits.subspan(first, count));
-        else if (kind == vpl_shadow)
-            ours_->occluded_from(emitters_[block.emitters[g]].p, ends.subspan(first, count),
-                                 blocked.subspan(first, count), &caches_[block.emitters[g]]);
         else if (kind == bounce)
             ours_->closest_hits(std::span(block.rays).subspan(first, count),
                                 hits.subspan(first, count));
@@ -260,6 +278,23 @@ double TraceBench::time_ours(KindIndex kind, const Block& block, Answers& answer
                             blocked.subspan(first, count));
     }
     return thread_seconds() - start;
+}
+
+double TraceBench::time_shadows(const Block& block, Answers& answers) {
+    std::vector<RayMask> masks(block.groups.size());
+    const double start = thread_seconds();
+    std::optional<Targets> targets;
+    for (std::size_t g = 0; g < block.groups.size(); ++g) {
+        const auto& [tile, emitter, wanted] = block.shadow_groups[g];
+        if (emitter == 0) targets.emplace(block.tile_points[tile]);
+        masks[g] = ours_->occluded_from(emitters_[emitter].p, *targets, wanted, &caches_[emitter]);
+    }
+    const double seconds = thread_seconds() - start;
+    auto flag = answers.blocked.begin();
+    for (std::size_t g = 0; g < block.groups.size(); ++g)
+        for (std::size_t i = 0; i < tile_pixels; ++i)
+            if (has(block.shadow_groups[g].wanted, i)) *flag++ = has(masks[g], i);
+    return seconds;
 }
 
 /// Embree's structures are filled outside the measured time; ours starts from points.
@@ -383,6 +418,12 @@ void print_row(const nlohmann::json& r) {
 
 }  // namespace
 
+std::vector<std::string> ray_kind_names() {
+    std::vector<std::string> names;
+    for (const RayKind& kind : kinds) names.push_back(kind.name);
+    return names;
+}
+
 nlohmann::json bench_trace(const std::vector<std::string>& scenes, const TraceBenchConfig& config) {
     CHECK_EQ(config.view % (4 * tile_side), 0);
     fmt::print(
@@ -395,6 +436,7 @@ nlohmann::json bench_trace(const std::vector<std::string>& scenes, const TraceBe
     for (const std::string& scene : scenes) {
         TraceBench bench(scene, config);
         for (const KindIndex kind : {primary, vpl_shadow, bounce, bounce_occlusion}) {
+            if (!std::ranges::count(config.kinds, kinds[kind].name)) continue;
             results.push_back(bench.run(kind));
             print_row(results.back());
         }

@@ -7,13 +7,20 @@
 #include <string>
 #include <vector>
 
+#include "worker/kdtree_tracer.h"
+
 namespace tessera {
+
+/// Names of the kinds of rays that there are.
+std::vector<std::string> ray_kind_names();
 
 struct TraceBenchConfig {
     int view = 1024;      ///< width and height of the view in pixels; a multiple of 64
     int repetitions = 7;  ///< of everything; the median counts
     int vpls = 16;
+    std::vector<std::string> kinds = ray_kind_names();
     bool flatten = false;  ///< trace all instances as one object, without a level above
+    TreeBuilder builder = TreeBuilder::bvh;
 };
 
 /// Prints a table as it goes; returns the entries of `results`.

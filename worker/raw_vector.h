@@ -1,0 +1,30 @@
+// A vector whose elements are not touched before they are written: by many threads, say.
+#pragma once
+
+#include <memory>
+#include <new>
+#include <vector>
+
+namespace tessera {
+
+template <class T>
+struct RawAllocator : std::allocator<T> {
+    template <class U>
+    struct rebind {
+        using other = RawAllocator<U>;
+    };
+    template <class U>
+    void construct(U* place) {
+        ::new (static_cast<void*>(place)) U;  // no parentheses: plain data stays as it is
+    }
+    template <class U, class... Args>
+    void construct(U* place, Args&&... args) {
+        std::construct_at(place, std::forward<Args>(args)...);
+    }
+};
+
+/// For plain data: resize() leaves new elements without a value.
+template <class T>
+using RawVector = std::vector<T, RawAllocator<T>>;
+
+}  // namespace tessera

@@ -1,0 +1,160 @@
+#include "worker/wide_scene.h"
+
+#include <tbb/parallel_for.h>
+
+#include <array>
+#include <atomic>
+#include <numeric>
+
+#include "common/check.h"
+#include "worker/bvh.h"
+#include "worker/clip.h"
+#include "worker/kdtree.h"
+
+namespace tessera {
+namespace {
+
+// Rays are as fast in trees from 0.5 to 4; the leanest is smallest and soonest built.
+constexpr KdCosts object_costs{.traversal = 1, .intersection = 0.25f};
+
+Triangle triangle_of(const TracerObject& object, std::uint32_t i) {
+    const uvec3& v = object.triangles[i];
+    return {object.positions[v.x], object.positions[v.y], object.positions[v.z], i};
+}
+
+/// Bounds of all triangles that can be hit.
+RawVector<BoxRef> triangle_refs(const TracerObject& object) {
+    constexpr std::uint32_t none = ~0u;
+    RawVector<BoxRef> refs(object.triangles.size());
+    std::atomic<bool> complete = true;
+    tbb::parallel_for(std::uint32_t(0), std::uint32_t(refs.size()), [&](std::uint32_t i) {
+        const Triangle t = triangle_of(object, i);
+        const bool sound = !is_degenerate(t);
+        refs[i] = {min(t.a, min(t.b, t.c)), sound ? i : none, max(t.a, max(t.b, t.c)), 0};
+        if (!sound) complete = false;
+    });
+    if (!complete) std::erase_if(refs, [](const BoxRef& ref) { return ref.item == none; });
+    return refs;
+}
+
+BoxTree kd_boxes(const TracerObject& object, std::uint32_t leaf_size) {
+    const ClippedBounds clipped = [&](std::uint32_t i, const Box& cell) {
+        const Triangle triangle = triangle_of(object, i);
+        return is_degenerate(triangle) ? Box{} : clipped_bounds(triangle, cell);
+    };
+    const auto count = std::uint32_t(object.triangles.size());
+    return boxes_of(build_kdtree(count, clipped, object_costs), clipped, leaf_size);
+}
+
+/// World bounds of an instance, widened by what rounding can move a ray that is transformed into
+/// the object's space.
+Box instance_bounds(const Box& object_bounds, const mat4& world_from_object) {
+    Box box = transformed(object_bounds, world_from_object);
+    if (box.empty()) return box;
+    const vec3 scale = max(abs(box.lo), abs(box.hi));
+    const vec3 margin(0x1p-19f * max_component(scale));
+    return {box.lo - margin, box.hi + margin};
+}
+
+BoxRef finite(const Box& box, std::uint32_t item) {
+    const vec3 most(std::numeric_limits<float>::max());
+    return {clamp(box.lo, -most, most), item, clamp(box.hi, -most, most), 0};
+}
+
+/// Over boxes that are worth a lane each.
+template <int width>
+WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
+    std::vector<WideNode<width>> lowest;  // their lanes are the items
+    const WideCosts costs{.node = 1, .block = 1, .block_size = width, .max_blocks = 1};
+    const auto make_leaf = [&](std::span<const std::uint32_t> items) {
+        WideNode<width> node;
+        for (int i = 0; i < int(items.size()); ++i) {
+            const BoxRef& ref = refs[items[i]];
+            node.set_child(i, {ref.lo, ref.hi}, WideLink::leaf(ref.item, 1));
+        }
+        lowest.push_back(node);
+        return WideLink::leaf(std::uint32_t(lowest.size()) - 1, 1);
+    };
+    WideTree<width> tree = collapse<width>(
+        build_bvh(refs, {.block_size = width, .leaf_size = width}), costs, make_leaf);
+    const auto offset = std::uint32_t(tree.nodes.size());
+    for (WideNode<width>& node : tree.nodes)
+        for (WideLink& link : node.children)
+            if (link.is_leaf()) link = WideLink::node(offset + link.first());
+    tree.nodes.insert(tree.nodes.end(), lowest.begin(), lowest.end());
+    return tree;
+}
+
+}  // namespace
+
+template <int width>
+WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) {
+    const BoxTree tree =
+        builder == TreeBuilder::bvh
+            ? build_bvh(triangle_refs(object), {.block_size = width, .leaf_size = width / 2})
+            : kd_boxes(object, width);
+    WideObject<width> out;
+    constexpr std::uint32_t none = ~0u;
+    std::vector<std::uint32_t> lanes;  // of all blocks
+    out.tree = collapse<width>(tree, {.node = 1, .block = 2, .block_size = width},
+                               [&](std::span<const std::uint32_t> items) {
+                                   const auto first = std::uint32_t(lanes.size() / width);
+                                   lanes.insert(lanes.end(), items.begin(), items.end());
+                                   lanes.resize((lanes.size() + width - 1) / width * width, none);
+                                   return WideLink::leaf(
+                                       first, std::uint32_t(lanes.size() / width) - first);
+                               });
+    CHECK(lanes.size() / width <= WideLink::max_first);
+    out.blocks.resize(lanes.size() / width);
+    tbb::parallel_for(std::size_t(0), out.blocks.size(), [&](std::size_t block) {
+        std::array<Triangle, width> triangles{};
+        std::size_t count = 0;
+        for (; count < width && lanes[block * width + count] != none; ++count)
+            triangles[count] = triangle_of(object, lanes[block * width + count]);
+        out.blocks[block] = TriangleBlock<width>::of(std::span(triangles).first(count));
+    });
+    return out;
+}
+
+template <int width>
+void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances) {
+    constexpr std::uint32_t none = ~0u;
+    constexpr std::size_t task_instances = 128;
+    RawVector<BoxRef> refs(instances.size());
+    scene.instances.resize(instances.size());
+    const auto place = [&](std::size_t i) {
+        const auto& [object, world_from_object] = instances[i];
+        const auto inverse = inverse_affine(world_from_object);
+        const Box box = instance_bounds(scene.objects[object].tree.bounds, world_from_object);
+        refs[i] = finite(box, inverse && !box.empty() ? 0 : none);
+        if (inverse) scene.instances[i] = {object, std::uint32_t(i), *inverse};
+    };
+    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, refs.size(), task_instances),
+                      [&](const auto& part) {
+                          for (std::size_t i = part.begin(); i < part.end(); ++i) place(i);
+                      });
+
+    // Those that can be hit move up.
+    std::uint32_t count = 0;
+    for (std::size_t i = 0; i < refs.size(); ++i) {
+        if (refs[i].item == none) continue;
+        refs[count] = refs[i];
+        refs[count].item = count;
+        scene.instances[count++] = scene.instances[i];
+    }
+    CHECK(count <= WideLink::max_first);
+    refs.resize(count);
+    scene.instances.resize(count);
+    scene.top = top_tree<width>(refs);
+    scene.items.resize(count);
+    std::iota(scene.items.begin(), scene.items.end(), 0u);
+}
+
+template WideObject<4> build_object(const TracerObject&, TreeBuilder);
+template WideObject<8> build_object(const TracerObject&, TreeBuilder);
+template WideObject<16> build_object(const TracerObject&, TreeBuilder);
+template void build_top(WideScene<4>&, std::span<const TracerInstance>);
+template void build_top(WideScene<8>&, std::span<const TracerInstance>);
+template void build_top(WideScene<16>&, std::span<const TracerInstance>);
+
+}  // namespace tessera
