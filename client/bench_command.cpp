@@ -1,4 +1,5 @@
-// tessera bench: hands over to tessera-bench, which measures the worker's insides.
+// tessera bench: measures the quality of pictures itself, and hands over to tessera-bench, which
+// measures the worker's insides.
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -30,11 +31,15 @@ namespace {
 void add_bench_command(CLI::App& app) {
     CLI::App* command = app.add_subcommand(
         "bench",
-        "Measure the tracer: trace, build or stability; `tessera bench --help` tells more");
-    // Everything behind `bench` is tessera-bench's to understand, its --help too.
+        "Measure quality, or the tracer: trace, build or stability; `tessera bench --help` tells "
+        "more");
+    add_quality_command(command);
+    // Everything else behind `bench` is tessera-bench's to understand, its --help too.
     command->prefix_command();
     command->set_help_flag();
-    command->callback([command] { become_bench(command->remaining()); });
+    command->callback([command] {
+        if (command->get_subcommands().empty()) become_bench(command->remaining());
+    });
 }
 
 }  // namespace tessera

@@ -11,5 +11,7 @@ void add_status_command(CLI::App& app);
 void add_compare_command(CLI::App& app);
 void add_scene_command(CLI::App& app);
 void add_bench_command(CLI::App& app);
+/// To the command `bench`.
+void add_quality_command(CLI::App* bench);
 
 }  // namespace tessera

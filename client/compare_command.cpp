@@ -22,19 +22,20 @@ void print_table(const Comparison& c) {
         "rmse          {:.6g}\n"
         "rmse_clamped  {:.6g}   both clamped to [0,1]\n"
         "relmse        {:.6g}\n"
+        "delta_e       {:.6g}   mean, CIELAB 1976\n"
         "max_abs       {:.6g}\n"
         "mean_a        {:.6g}\n"
         "mean_b        {:.6g}   ratio a/b {:.5f}\n"
         "identical     {}\n",
-        c.rmse, c.rmse_clamped, c.relmse, c.max_abs, c.mean_a, c.mean_b, c.mean_a / c.mean_b,
-        c.identical);
+        c.rmse, c.rmse_clamped, c.relmse, c.delta_e, c.max_abs, c.mean_a, c.mean_b,
+        c.mean_a / c.mean_b, c.identical);
 }
 
 void print_json(const Comparison& c) {
-    const nlohmann::json json = {{"rmse", c.rmse},          {"rmse_clamped", c.rmse_clamped},
-                                 {"relmse", c.relmse},      {"max_abs", c.max_abs},
-                                 {"mean_a", c.mean_a},      {"mean_b", c.mean_b},
-                                 {"identical", c.identical}};
+    const nlohmann::json json = {{"rmse", c.rmse},       {"rmse_clamped", c.rmse_clamped},
+                                 {"relmse", c.relmse},   {"delta_e", c.delta_e},
+                                 {"max_abs", c.max_abs}, {"mean_a", c.mean_a},
+                                 {"mean_b", c.mean_b},   {"identical", c.identical}};
     fmt::print("{}\n", json.dump(2));
 }
 

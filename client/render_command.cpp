@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
+#include "client/camera_options.h"
 #include "client/commands.h"
 #include "client/interrupt.h"
 #include "client/local_cluster.h"
@@ -26,15 +27,12 @@ using Clock = std::chrono::steady_clock;
 struct RenderOptions {
     std::string scene;
     std::string output;
-    ImageSize size{640, 480};
-    std::vector<float> eye, at, up;
-    std::optional<float> fov;
-    std::string camera;
+    CameraOptions camera;
     Integrator integrator = Integrator::igi;
     TracerKind tracer = TracerKind::kdtree;
     FilterPlace filter = FilterPlace::server;
     std::optional<std::uint32_t> passes, antialiasing;
-    std::uint32_t vpls = 16;
+    std::uint32_t vpls = 8;
     RenderSettings settings;
     double time_limit = 0;
     double error_limit = 0;
@@ -52,53 +50,6 @@ const std::map<std::string, Channel> aov_names = {
 
 /// Refinement goes on this long when only a limit of time or error is given.
 constexpr std::uint32_t passes_without_end = 1u << 20;
-
-ImageSize parse_size(const std::string& text) {
-    ImageSize size;
-    char x = 0, rest = 0;
-    const bool parsed =
-        std::sscanf(text.c_str(), "%d%c%d%c", &size.width, &x, &size.height, &rest) == 3 &&
-        x == 'x';
-    if (!parsed || std::min(size.width, size.height) < 1 ||
-        std::max(size.width, size.height) > max_image_side || size.pixels() > max_image_pixels)
-        throw CLI::ValidationError(
-            "--size",
-            fmt::format("`{}` is not WIDTHxHEIGHT, each at most {} and together at most {} pixels",
-                        text, max_image_side, max_image_pixels));
-    return size;
-}
-
-vec3 to_vec3(const std::vector<float>& v) { return {v[0], v[1], v[2]}; }
-
-Camera scene_camera(const RenderOptions& options, const SceneBundle& bundle, ProgressBar& bar) {
-    const std::vector<Camera>& cameras = bundle.scene.cameras;
-    if (options.camera.empty()) {
-        if (!cameras.empty()) return cameras.front();
-        if (options.eye.empty()) bar.note("no camera in the scene: framing all of it");
-        return framing_camera(scene_bounds(bundle));
-    }
-    std::string known;
-    for (const Camera& camera : cameras) {
-        if (camera.name == options.camera) return camera;
-        known += (known.empty() ? "" : ", ") + camera.name;
-    }
-    throw UserError(fmt::format("--camera {}: the scene has no such camera; it has: {}",
-                                options.camera, known.empty() ? "none" : known));
-}
-
-Camera chosen_camera(const RenderOptions& options, const SceneBundle& bundle, ProgressBar& bar) {
-    Camera camera = scene_camera(options, bundle, bar);
-    if (!options.eye.empty()) camera.eye = to_vec3(options.eye);
-    if (!options.at.empty()) camera.at = to_vec3(options.at);
-    if (!options.up.empty()) camera.up = to_vec3(options.up);
-    if (options.fov) camera.fov_y = *options.fov;
-    const vec3 view = camera.at - camera.eye;
-    if (glm::length(glm::cross(view, camera.up)) <=
-        1e-6f * glm::length(view) * glm::length(camera.up))
-        throw UserError(
-            "the camera looks along its own up direction or nowhere: change --eye, --at or --up");
-    return camera;
-}
 
 /// N eye rays share a pixel's M VPLs (Wald 2004, 13.3.4) as N passes of M/N VPLs each.
 RenderSettings settings_of(const RenderOptions& options) {
@@ -122,7 +73,7 @@ FrameRequest request_of(const RenderOptions& options, const std::string& scene,
                         const Camera& camera) {
     FrameRequest request;
     request.spec.scene = scene;
-    request.spec.size = options.size;
+    request.spec.size = options.camera.size;
     request.spec.camera = camera;
     request.spec.settings = settings_of(options);
     for (const Channel channel : options.aov) request.spec.extra = request.spec.extra.with(channel);
@@ -141,7 +92,7 @@ std::string aov_file(const std::string& output, const std::string& name) {
 void write_pictures(const RenderOptions& options, const FrameRequest& request,
                     const RenderedFrame& frame) {
     if (request.format == PictureFormat::srgb8)
-        write_srgb8(frame.srgb8, options.size, options.output);
+        write_srgb8(frame.srgb8, options.camera.size, options.output);
     else
         write_image(frame.channels.at(Channel::radiance), options.output);
     for (const auto& [name, channel] : aov_names)
@@ -209,7 +160,8 @@ void run(const RenderOptions& options) {
     const auto load_start = Clock::now();
     const LoadedScene loaded = load(options, bar);
     const std::chrono::duration<double> load_time = Clock::now() - load_start;
-    const Camera camera = chosen_camera(options, loaded.bundle, bar);
+    const Camera camera = chosen_camera(options.camera, loaded.bundle,
+                                        [&](const std::string& note) { bar.note(note); });
 
     ProgressView view(bar);
     std::optional<LocalCluster> cluster;
@@ -237,19 +189,6 @@ void run(const RenderOptions& options) {
         options.output, s.passes, s.render_seconds,
         1e-6 * double(s.rays) / std::max(1e-9, s.render_seconds), s.build_seconds,
         load_time.count()));
-}
-
-void add_camera_options(CLI::App* command, RenderOptions& o) {
-    command->add_option_function<std::string>(
-        "--size", [&o](const std::string& text) { o.size = parse_size(text); },
-        "WxH in pixels (default 640x480)");
-    command->add_option("--eye", o.eye, "x,y,z of the eye")->delimiter(',')->expected(3);
-    command->add_option("--at", o.at, "x,y,z of the point looked at")->delimiter(',')->expected(3);
-    command->add_option("--up", o.up, "x,y,z upwards")->delimiter(',')->expected(3);
-    command->add_option("--fov", o.fov, "vertical field of view in degrees")
-        ->check(CLI::Range(0.01, 179.0));
-    command->add_option("--camera", o.camera,
-                        "a camera of the scene, by name (default: its first)");
 }
 
 void add_quality_options(CLI::App* command, RenderOptions& o) {
@@ -333,7 +272,7 @@ void add_render_command(CLI::App& app) {
                      "a .gltf, .glb, .obj or .ply file, or the name of a generated scene")
         ->required();
     add_output_options(command, *options);
-    add_camera_options(command, *options);
+    add_camera_options(command, options->camera);
     add_quality_options(command, *options);
     add_cluster_options(command, *options);
     command->callback([options] { run(*options); });

@@ -65,6 +65,80 @@ struct EyeRays {
     }
 };
 
+/// One offset of the window for one row of pixels.
+struct Tap {
+    const GuideRow &p, &q;    // the row itself, and the neighbour's
+    std::size_t here, there;  // where they begin
+    float cosine;             // least
+    float plane_tolerance;    // distance from the plane at depth 1
+    float depth_tolerance;    // difference at depth 1
+};
+
+/// Adds what counts of one tap. The same arithmetic whatever the instruction set, so the same bits.
+[[gnu::always_inline]] inline void add_tap_in_rows(const Tap& tap, SumRow& sums,
+                                                   std::vector<std::uint32_t>& accepted_pixels) {
+    const std::size_t n = sums.count.size();
+    const float* __restrict p_nx = tap.p.nx.data() + tap.here;
+    const float* __restrict p_ny = tap.p.ny.data() + tap.here;
+    const float* __restrict p_nz = tap.p.nz.data() + tap.here;
+    const float* __restrict p_plane = tap.p.plane.data() + tap.here;
+    const float* __restrict p_depth = tap.p.depth.data() + tap.here;
+    const std::uint32_t* __restrict p_surface = tap.p.surface.data() + tap.here;
+    const float* __restrict q_nx = tap.q.nx.data() + tap.there;
+    const float* __restrict q_ny = tap.q.ny.data() + tap.there;
+    const float* __restrict q_nz = tap.q.nz.data() + tap.there;
+    const float* __restrict q_px = tap.q.px.data() + tap.there;
+    const float* __restrict q_py = tap.q.py.data() + tap.there;
+    const float* __restrict q_pz = tap.q.pz.data() + tap.there;
+    const float* __restrict q_depth = tap.q.depth.data() + tap.there;
+    const float* __restrict q_red = tap.q.red.data() + tap.there;
+    const float* __restrict q_green = tap.q.green.data() + tap.there;
+    const float* __restrict q_blue = tap.q.blue.data() + tap.there;
+    const std::uint32_t* __restrict q_surface = tap.q.surface.data() + tap.there;
+    const std::uint32_t* __restrict q_valid = tap.q.valid.data() + tap.there;
+    float* __restrict red = sums.red.data();
+    float* __restrict green = sums.green.data();
+    float* __restrict blue = sums.blue.data();
+    float* __restrict count = sums.count.data();
+    std::uint32_t* __restrict accepted = accepted_pixels.data();
+
+    for (std::size_t i = 0; i < n; ++i) {
+        const float alike = p_nx[i] * q_nx[i] + p_ny[i] * q_ny[i] + p_nz[i] * q_nz[i];
+        const float height = p_nx[i] * q_px[i] + p_ny[i] * q_py[i] + p_nz[i] * q_pz[i] - p_plane[i];
+        const std::uint32_t in_plane =
+            std::abs(height) <= tap.plane_tolerance * p_depth[i] ? ~0u : 0u;
+        const std::uint32_t close =
+            std::abs(q_depth[i] - p_depth[i]) <= tap.depth_tolerance * p_depth[i] ? ~0u : 0u;
+        const std::uint32_t facing = alike >= tap.cosine ? ~0u : 0u;
+        const std::uint32_t object = p_surface[i] == q_surface[i] ? ~0u : 0u;
+        accepted[i] = object & facing & (in_plane | close) & q_valid[i];
+    }
+    for (std::size_t i = 0; i < n; ++i) {
+        const float weight = float(std::int32_t(accepted[i] & 1));
+        red[i] += weight * q_red[i];
+        green[i] += weight * q_green[i];
+        blue[i] += weight * q_blue[i];
+        count[i] += weight;
+    }
+}
+
+using AddTap = void (*)(const Tap& tap, SumRow& sums, std::vector<std::uint32_t>& accepted);
+
+void add_tap_anywhere(const Tap& tap, SumRow& sums, std::vector<std::uint32_t>& accepted) {
+    add_tap_in_rows(tap, sums, accepted);
+}
+
+#if defined(__x86_64__)
+[[gnu::target("avx2")]] void add_tap_avx2(const Tap& tap, SumRow& sums,
+                                          std::vector<std::uint32_t>& accepted) {
+    add_tap_in_rows(tap, sums, accepted);
+}
+
+AddTap best_add_tap() { return __builtin_cpu_supports("avx2") ? add_tap_avx2 : add_tap_anywhere; }
+#else
+AddTap best_add_tap() { return add_tap_anywhere; }
+#endif
+
 class RectFilter {
 public:
     RectFilter(const DiscontinuityFilter& filter, const PassView& pass, const Rect& rect)
@@ -110,6 +184,7 @@ private:
     std::vector<GuideRow> ring_;
     SumRow sums_;
     std::vector<std::uint32_t> counts_;  // all ones where a tap counts
+    const AddTap add_tap_ = best_add_tap();
 };
 
 void RectFilter::prepare(int y) {
@@ -162,53 +237,14 @@ void RectFilter::add_self(const GuideRow& row) {
 /// behind a mirror the normal belongs to the true surface and the hit to its image, so that the
 /// plane says nothing there. Comparisons with what is not a number fail, so such pixels stay alone.
 void RectFilter::add_tap(const GuideRow& p, const GuideRow& q, int dx, int distance) {
-    const std::size_t n = sums_.count.size();
-    const std::size_t here = std::size_t(reach_);
-    const std::size_t there = std::size_t(reach_ + dx);
-    const float* __restrict p_nx = p.nx.data() + here;
-    const float* __restrict p_ny = p.ny.data() + here;
-    const float* __restrict p_nz = p.nz.data() + here;
-    const float* __restrict p_plane = p.plane.data() + here;
-    const float* __restrict p_depth = p.depth.data() + here;
-    const std::uint32_t* __restrict p_surface = p.surface.data() + here;
-    const float* __restrict q_nx = q.nx.data() + there;
-    const float* __restrict q_ny = q.ny.data() + there;
-    const float* __restrict q_nz = q.nz.data() + there;
-    const float* __restrict q_px = q.px.data() + there;
-    const float* __restrict q_py = q.py.data() + there;
-    const float* __restrict q_pz = q.pz.data() + there;
-    const float* __restrict q_depth = q.depth.data() + there;
-    const std::uint32_t* __restrict q_surface = q.surface.data() + there;
-    const std::uint32_t* __restrict q_valid = q.valid.data() + there;
-    const float* __restrict q_red = q.red.data() + there;
-    const float* __restrict q_green = q.green.data() + there;
-    const float* __restrict q_blue = q.blue.data() + there;
-    float* __restrict red = sums_.red.data();
-    float* __restrict green = sums_.green.data();
-    float* __restrict blue = sums_.blue.data();
-    float* __restrict count = sums_.count.data();
-    std::uint32_t* __restrict counts = counts_.data();
-    const float cosine = filter_.normal_cosine;
-    const float plane_tolerance = filter_.plane_pixels * rays_.pixel_angle;
-    const float depth_tolerance = float(distance) * rays_.pixel_angle;
-
-    for (std::size_t i = 0; i < n; ++i) {
-        const float alike = p_nx[i] * q_nx[i] + p_ny[i] * q_ny[i] + p_nz[i] * q_nz[i];
-        const float height = p_nx[i] * q_px[i] + p_ny[i] * q_py[i] + p_nz[i] * q_pz[i] - p_plane[i];
-        const std::uint32_t in_plane = std::abs(height) <= plane_tolerance * p_depth[i] ? ~0u : 0u;
-        const std::uint32_t close =
-            std::abs(q_depth[i] - p_depth[i]) <= depth_tolerance * p_depth[i] ? ~0u : 0u;
-        const std::uint32_t facing = alike >= cosine ? ~0u : 0u;
-        const std::uint32_t object = p_surface[i] == q_surface[i] ? ~0u : 0u;
-        counts[i] = object & facing & (in_plane | close) & q_valid[i];
-    }
-    for (std::size_t i = 0; i < n; ++i) {
-        const float weight = float(std::int32_t(counts[i] & 1));
-        red[i] += weight * q_red[i];
-        green[i] += weight * q_green[i];
-        blue[i] += weight * q_blue[i];
-        count[i] += weight;
-    }
+    const Tap tap{.p = p,
+                  .q = q,
+                  .here = std::size_t(reach_),
+                  .there = std::size_t(reach_ + dx),
+                  .cosine = filter_.normal_cosine,
+                  .plane_tolerance = filter_.plane_pixels * rays_.pixel_angle,
+                  .depth_tolerance = float(distance) * rays_.pixel_angle};
+    add_tap_(tap, sums_, counts_);
 }
 
 void RectFilter::store(int y, std::span<float> filtered) const {

@@ -11,7 +11,8 @@
 // the window, each set weighing the same. Where neighbours are left out, or cut off at the border
 // of the picture, their sets are missing from this pass; the mean over the accepted ones stays an
 // unbiased estimate of what they show as long as the sets change places from pass to pass. What
-// remains in the limit is the blur over at most n pixels of one surface.
+// remains in the limit is the blur over at most n pixels of one surface, which the server takes
+// back as noise goes (server/detail_blend.h).
 #pragma once
 
 #include <span>

@@ -163,7 +163,7 @@ struct FrameStatistics {
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
     std::uint64_t tiles_reissued = 0;
-    double error_estimate = 0;  ///< standard error of the mean, RMS over pixels; 0 when unknown
+    double error_estimate = 0;  ///< expected RMSE of the picture clamped to [0, 1]; 0 when unknown
     std::vector<std::string> modelled;
     std::vector<std::string> left_out;
     std::vector<WorkerShare> workers;

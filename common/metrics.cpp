@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -29,6 +30,30 @@ double squared_relative(double difference_of_pair, double reference) {
     return squared(difference_of_pair) / (squared(reference) + 0.01);
 }
 
+/// CIELAB of clamped linear sRGB.
+std::array<double, 3> lab_from_rgb(const float* rgb) {
+    const double r = clamped(rgb[0]), g = clamped(rgb[1]), b = clamped(rgb[2]);
+    const auto f = [](double t) {
+        constexpr double knee = 6.0 / 29;
+        return t > knee * knee * knee ? std::cbrt(t) : t / (3 * knee * knee) + 4.0 / 29;
+    };
+    const double x = f((0.4124 * r + 0.3576 * g + 0.1805 * b) / 0.9505);
+    const double y = f(0.2126 * r + 0.7152 * g + 0.0722 * b);
+    const double z = f((0.0193 * r + 0.1192 * g + 0.9505 * b) / 1.0890);
+    return {116 * y - 16, 500 * (x - y), 200 * (y - z)};
+}
+
+double mean_delta_e(const Image& a, const Image& b) {
+    if (a.channels != 3 || a.data.empty()) return 0;
+    double sum = 0;
+    for (std::size_t i = 0; i < a.data.size(); i += 3) {
+        const auto p = lab_from_rgb(&a.data[i]);
+        const auto q = lab_from_rgb(&b.data[i]);
+        sum += std::sqrt(squared(p[0] - q[0]) + squared(p[1] - q[1]) + squared(p[2] - q[2]));
+    }
+    return sum / double(a.size.pixels());
+}
+
 }  // namespace
 
 Comparison compare(const Image& a, const Image& b) {
@@ -53,6 +78,7 @@ Comparison compare(const Image& a, const Image& b) {
     return {.rmse = std::sqrt(sum.rmse / n),
             .rmse_clamped = std::sqrt(sum.rmse_clamped / n),
             .relmse = sum.relmse / n,
+            .delta_e = mean_delta_e(a, b),
             .max_abs = sum.max_abs,
             .mean_a = sum.mean_a / n,
             .mean_b = sum.mean_b / n,

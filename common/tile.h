@@ -29,8 +29,8 @@ struct RenderSettings {
     TracerKind tracer = TracerKind::kdtree;
     FilterPlace filter = FilterPlace::server;
     std::uint32_t passes = 4;      ///< eye rays per pixel
-    std::uint32_t vpls = 4;        ///< igi: virtual point lights per pixel and pass, on average
-    std::uint32_t interleave = 5;  ///< igi: n, for n x n interleaved sets of VPLs
+    std::uint32_t vpls = 2;        ///< igi: virtual point lights per pixel and pass, on average
+    std::uint32_t interleave = 9;  ///< igi: n, for n x n interleaved sets of VPLs
     std::uint32_t bounces = 64;    ///< indirect bounces at most; Russian roulette ends most earlier
     std::uint32_t seed = 0;
 

@@ -53,10 +53,12 @@ FrameSums::FrameSums(const FrameSpec& spec)
       sum_(3 * spec.size.pixels()),
       mean_(3 * spec.size.pixels()),
       squares_(3 * spec.size.pixels()),
-      row_squares_(std::size_t(spec.size.height)) {
+      row_errors_(std::size_t(spec.size.height)) {
     for (Channel c : channels_in(spec.extra))
         extra_[c].resize(std::size_t(floats_per_pixel(c)) * spec.size.pixels());
-    if (spec.settings.integrator == Integrator::igi) filtered_.resize(sum_.size());
+    if (spec.settings.integrator != Integrator::igi) return;
+    filtered_.resize(sum_.size());
+    if (spec.settings.filter != FilterPlace::off) detail_.emplace(spec.size);
 }
 
 /// The irradiance to use in these rows, of the whole picture.
@@ -74,32 +76,60 @@ std::span<const float> FrameSums::irradiance_rows(const RunBuffer& run, int y0, 
     return filtered_;
 }
 
-void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
+/// Adds the radiance of a row, and updates mean and squared deviations of the runs' means.
+void FrameSums::fold_row(const RunBuffer& run, std::span<const float> irradiance, int y) {
     const bool igi = spec_.settings.integrator == Integrator::igi;
     const std::span<const float> radiance = channel_of(spec_, run, Channel::radiance);
     const std::span<const float> albedo =
         igi ? channel_of(spec_, run, Channel::albedo) : std::span<const float>();
-    const std::span<const float> irradiance =
-        igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
-
-    // Add the radiance of each row, and update mean and squared deviations of the runs' means.
     const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
+    const std::size_t begin = std::size_t(y) * row_floats;
     const float per_pass = 1 / float(run.passes);
     const float per_run = 1 / float(runs_ + 1);
+    for (std::size_t i = begin; i < begin + row_floats; ++i) {
+        const float lit = igi ? radiance[i] + albedo[i] * (1 / pi) * irradiance[i] : radiance[i];
+        const float value = finite_or_zero(lit);
+        sum_[i] += value;
+        const float deviation = value * per_pass - mean_[i];
+        mean_[i] += deviation * per_run;
+        squares_[i] += deviation * (value * per_pass - mean_[i]);
+    }
+    row_errors_[std::size_t(y)] = row_error(y);
+}
+
+/// Squared standard errors of a row's means, as far as they are visible within [0, 1].
+double FrameSums::row_error(int y) const {
+    const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
+    const std::size_t begin = std::size_t(y) * row_floats;
+    const float scale = runs_ > 0 ? 1 / (float(runs_) * float(runs_ + 1)) : 0;
+    double sum = 0;
+    for (std::size_t i = begin; i < begin + row_floats; ++i) {
+        const float room = mean_[i] < 1 ? std::max(mean_[i], 1 - mean_[i]) : 0;
+        sum += std::min(squares_[i] * scale, room * room);
+    }
+    return sum;
+}
+
+/// Hands over what the filter changed in a row.
+void FrameSums::fold_detail(const RunBuffer& run, std::span<const float> irradiance, int y) {
+    const std::span<const float> unfiltered = channel_of(spec_, run, Channel::irradiance);
+    const std::span<const float> albedo = channel_of(spec_, run, Channel::albedo);
+    const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
+    const std::size_t begin = std::size_t(y) * row_floats;
+    std::vector<float> detail(row_floats);
+    for (std::size_t i = 0; i < row_floats; ++i)
+        detail[i] = finite_or_zero(albedo[begin + i] * (1 / pi) *
+                                   (unfiltered[begin + i] - irradiance[begin + i]));
+    detail_->add_row(y, detail, runs_ + 1);
+}
+
+void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
+    const bool igi = spec_.settings.integrator == Integrator::igi;
+    const std::span<const float> irradiance =
+        igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
     for (int y = y0; y < y1; ++y) {
-        const std::size_t begin = std::size_t(y) * row_floats;
-        for (std::size_t i = begin; i < begin + row_floats; ++i) {
-            const float lit =
-                igi ? radiance[i] + albedo[i] * (1 / pi) * irradiance[i] : radiance[i];
-            const float value = finite_or_zero(lit);
-            sum_[i] += value;
-            const float deviation = value * per_pass - mean_[i];
-            mean_[i] += deviation * per_run;
-            squares_[i] += deviation * (value * per_pass - mean_[i]);
-        }
-        double squares = 0;
-        for (std::size_t i = begin; i < begin + row_floats; ++i) squares += squares_[i];
-        row_squares_[std::size_t(y)] = squares;
+        fold_row(run, irradiance, y);
+        if (detail_) fold_detail(run, irradiance, y);
     }
 
     // Add the channels asked for beside the picture.
@@ -125,13 +155,15 @@ void FrameSums::finish_run(const RunBuffer& run) {
 
 double FrameSums::error_estimate() const {
     if (runs_ < 2) return 0;
-    double squares = 0;
-    for (double row : row_squares_) squares += row;
-    return std::sqrt(squares / (double(runs_ - 1) * double(runs_) * double(sum_.size())));
+    double squares = detail_ ? detail_->squared_error() : 0;
+    for (double row : row_errors_) squares += row;
+    return std::sqrt(squares / double(sum_.size()));
 }
 
 Image FrameSums::picture() const {
-    return scaled_image(spec_.size, 3, sum_, 1 / float(std::max(passes_, 1u)));
+    Image image = scaled_image(spec_.size, 3, sum_, 1 / float(std::max(passes_, 1u)));
+    if (detail_) detail_->add_to(image);
+    return image;
 }
 
 Image FrameSums::channel(Channel c) const {

@@ -14,6 +14,7 @@
 
 #include "common/image.h"
 #include "common/tile.h"
+#include "server/detail_blend.h"
 
 namespace tessera {
 
@@ -38,10 +39,12 @@ public:
 
     std::uint32_t runs() const { return runs_; }
     std::uint32_t passes() const { return passes_; }
-    /// Standard error of the mean, estimated from how much the runs differ: RMS over pixels and
-    /// colour channels, in units of radiance. 0 when there are fewer than two runs.
+    /// Expected difference of picture() from the converged one, both clamped to [0, 1]: RMS over
+    /// pixels and colour channels, estimated from how much the runs differ and from what the filter
+    /// changes. 0 when there are fewer than two runs.
     double error_estimate() const;
-    /// The mean of the passes folded so far; black when there are none.
+    /// The mean of the passes folded so far, with the detail that the filter should not have taken;
+    /// black when there are none.
     Image picture() const;
     /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth
     /// and surface as they are in the first pass.
@@ -49,6 +52,9 @@ public:
 
 private:
     std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
+    void fold_row(const RunBuffer& run, std::span<const float> irradiance, int y);
+    void fold_detail(const RunBuffer& run, std::span<const float> irradiance, int y);
+    double row_error(int y) const;
 
     FrameSpec spec_;
     std::uint32_t runs_ = 0;
@@ -56,7 +62,8 @@ private:
     std::vector<float> sum_;
     std::vector<float> mean_;          ///< of the runs' means; runs count the same
     std::vector<float> squares_;       ///< squared deviations from it (Welford 1962)
-    std::vector<double> row_squares_;  ///< squares_ added up per row
+    std::vector<double> row_errors_;   ///< squared standard errors added up per row
+    std::optional<DetailBlend> detail_;
     std::vector<float> filtered_;      ///< irradiance of the run being folded
     std::map<Channel, std::vector<float>> extra_;
 };

@@ -56,7 +56,12 @@ for field in ours_mrays_per_s embree_mrays_per_s ratio mismatches bytes_per_tria
 done
 expect_ok "bench help" tessera bench --help
 grep -q stability "$work/out" || fail "bench does not tell of its benchmarks"
+expect_ok "bench quality" tessera bench quality cornell --quick --size 32x24 --reference-time 0.1 -o "$work/quality"
+for file in quality.csv quality.json cornell.svg "cornell.refined igi.png" cornell.path.png; do
+    [[ -s "$work/quality/$file" ]] || fail "bench quality does not write $file"
+done
 expect_error "no-such-scene" tessera bench trace no-such-scene
+expect_error "no-such-scene" tessera bench quality no-such-scene
 expect_error "subcommand" tessera bench nonsense
 
 expect_error "missing.glb" tessera render "$work/missing.glb" -o "$work/x.png"

@@ -1,6 +1,8 @@
 // Pictures whose radiance is known in closed form, by both integrators.
 #include <gtest/gtest.h>
 
+#include <glm/gtc/matrix_transform.hpp>
+
 #include "tests/render_fixture.h"
 #include "worker/texture.h"
 
@@ -108,6 +110,31 @@ TEST_P(LightTransport, PlaneUnderASquareLamp) {
     expect_near(look(bundle, from_above(), 64), factor * 0.5f * vec3(4, 2, 1), 0.01f);
 }
 
+TEST_P(LightTransport, RimsOfLampsHoldTheirMean) {
+    // A lamp of a few pixels: whether a pixel gets more rays must not depend on what it saw.
+    SceneBundle bundle;
+    add_shape(bundle, square(0.31f, 0), emitter(vec3(9)));
+    Camera camera = from_above();
+    camera.fov_y = 90;
+    expect_near(look(bundle, camera, 256), vec3(9 * 0.31f * 0.31f), 0.01f);
+}
+
+TEST_P(LightTransport, CeilingBesideALampThatHangsCloseBelow) {
+    // Strips of the ceiling around the back of a lamp at distance h: from the edge on, the lamp is
+    // nearly a half plane, whose irradiance at distance x from its edge is
+    // pi / 2 * (1 - x / sqrt(x^2 + h^2)).
+    constexpr float h = 1e-3f;
+    SceneBundle bundle;
+    add_shape(bundle, square(0.1f, 0), lambert(vec3(0.5f)));
+    const mat4 beside = glm::translate(mat4(1), vec3(-0.1f - h, h, 0));
+    add_shape(bundle, square(0.1f, 0, false), emitter(vec3(2)), beside);
+    // Seen from the lamp's side, a patch so small that x is h all over it.
+    Camera camera = from_above(0.5f * h);
+    camera.fov_y = 5;
+    const float share = 0.5f * (1 - std::sqrt(0.5f));
+    expect_near(look(bundle, camera, 256), vec3(0.5f * 2 * share), 0.02f);
+}
+
 TEST_P(LightTransport, LampsShineFromTheirFrontUnlessTwoSided) {
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     Material lamp = emitter(vec3(4));
@@ -210,6 +237,45 @@ TEST_P(LightTransport, DegenerateInputGivesFinitePictures) {
             const std::size_t pixels = tile_rect(spec.size, r.task.tile).pixels();
             for (std::size_t i = 0; i < 3 * pixels; ++i) EXPECT_TRUE(std::isfinite(r.data[i]));
         }
+    }
+}
+
+struct MeanAndError {
+    vec3 mean{0};
+    vec3 error{0};  ///< standard, of the mean
+};
+
+/// From pictures with independent seeds.
+MeanAndError mean_over_seeds(const SceneBundle& bundle, FrameSpec spec) {
+    constexpr int seeds = 8;
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    vec3 sum(0), squares(0);
+    for (int i = 0; i < seeds; ++i) {
+        spec.frame = spec.settings.seed = std::uint32_t(i + 1);
+        const vec3 mean = mean_radiance(spec, render_all(renderer, spec));
+        sum += mean;
+        squares += mean * mean;
+    }
+    const vec3 mean = sum / float(seeds);
+    const vec3 variance = glm::max(squares / float(seeds) - mean * mean, vec3(0));
+    return {mean, glm::sqrt(variance / float(seeds - 1))};
+}
+
+TEST(Igi, AgreesWithThePathTracerWhereTheBoundTakesMuchAway) {
+    // A corner of bright walls, lit by a small lamp: light goes to and fro within the bound.
+    SceneBundle bundle;
+    add_shape(bundle, room(vec3(-1), vec3(1)), lambert(vec3(0.8f, 0.7f, 0.5f)));
+    add_shape(bundle, square(0.3f, 0.999f, false), emitter(vec3(10)));
+    Camera camera;
+    camera.eye = {0.2f, 0.3f, 0.1f};
+    camera.at = {-1, -1, -1};
+    camera.fov_y = 60;
+    const ImageSize size{24, 24};
+    const MeanAndError igi = mean_over_seeds(bundle, frame_of(Integrator::igi, size, camera, 48));
+    const MeanAndError path = mean_over_seeds(bundle, frame_of(Integrator::path, size, camera, 96));
+    for (int c = 0; c < 3; ++c) {
+        EXPECT_LT(igi.error[c], 0.006f * igi.mean[c]);
+        EXPECT_NEAR(igi.mean[c], path.mean[c], 4 * std::hypot(igi.error[c], path.error[c]));
     }
 }
 

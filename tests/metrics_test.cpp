@@ -29,6 +29,18 @@ TEST(Metrics, a_picture_is_identical_to_itself) {
     EXPECT_EQ(c.max_abs, 0);
 }
 
+TEST(Metrics, delta_e_is_the_distance_in_cielab) {
+    // Greys differ in lightness alone, L = 116 cbrt(Y) - 16, from black 0 to white 100.
+    EXPECT_NEAR(compare(flat(1), flat(0)).delta_e, 100, 0.02);
+    EXPECT_NEAR(compare(flat(0.5f), flat(0.25f)).delta_e, 116 * (std::cbrt(0.5) - std::cbrt(0.25)),
+                0.02);
+    EXPECT_EQ(compare(flat(2), flat(7)).delta_e, 0);
+    // sRGB red lies at (53.24, 80.09, 67.20).
+    Image red({1, 1}, 3);
+    red.data = {1, 0, 0};
+    EXPECT_NEAR(compare(red, Image({1, 1}, 3)).delta_e, std::hypot(53.24, 80.09, 67.20), 0.1);
+}
+
 TEST(Metrics, constant_offset_has_closed_forms) {
     const Comparison c = compare(flat(0.75f), flat(0.5f));
     EXPECT_FALSE(c.identical);

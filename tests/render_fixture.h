@@ -59,6 +59,9 @@ inline FrameSpec frame_of(Integrator integrator, ImageSize size, const Camera& c
     spec.settings.integrator = integrator;
     spec.settings.tracer = TracerKind::embree;
     spec.settings.passes = passes;
+    // Many sets for a few pixels would take most of the time.
+    spec.settings.interleave = 3;
+    spec.settings.vpls = 4;
     return spec;
 }
 

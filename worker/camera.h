@@ -14,6 +14,8 @@ public:
 
     /// The ray through `raster`, in pixels from the top left; its direction is a unit vector.
     Ray ray(const vec2& raster) const;
+    /// Width of a pixel at unit distance in the middle of the picture.
+    float pixel_width() const { return length(right_); }
 
 private:
     vec3 eye_;

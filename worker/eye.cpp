@@ -10,31 +10,23 @@ struct EyePath {
     vec3 throughput{1};
 };
 
+/// Rays through a rim pixel beside its own.
+constexpr std::uint32_t rim_rays = 15;
+/// Visible difference in emission that makes a rim.
+constexpr float rim_contrast = 1.0f / 16;
+
 std::uint32_t surface_id(const World& world, const Hit& hit, std::uint32_t mirrors) {
     const std::uint32_t object = world.surfaces.object_of(hit.instance);
     return std::max(hash(hash(hit.instance, object), mirrors), 1u);
 }
 
-}  // namespace
-
-Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose) const {
-    const ivec2 at = raster(pixel);
-    const std::uint32_t number = std::uint32_t(at.y) * std::uint32_t(size.width) + at.x;
-    return {pass, hash(hash(seed, purpose), number)};
-}
-
-std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
-                             std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
-    std::vector<EyePath> paths(pixels.size());
-    std::vector<Ray> rays(pixels.size());
-    std::vector<Hit> hits(pixels.size());
-    for (std::uint32_t i = 0; i < pixels.size(); ++i) {
-        paths[i].pixel = i;
-        rays[i] = camera.ray(vec2(tile.raster(i)) + tile.sampler(i, 0).next());
-    }
-
+/// Follows eye rays to the first surface that scatters, adds what emits on the way to its pixel and
+/// calls `arrive` with each path, the hit and the surface. Returns the number of rays traced.
+template <class Arrive>
+std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector<Ray> rays,
+                     std::span<PixelSample> pixels, Arrive arrive) {
+    std::vector<Hit> hits(rays.size());
     std::uint64_t traced = 0;
-    receivers.clear();
     while (!paths.empty()) {
         world.tracer.closest_hits(rays, hits);
         traced += rays.size();
@@ -44,15 +36,10 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             EyePath path = paths[i];
             path.length += hits[i].t * length(rays[i].dir);
-            PixelSample& pixel = pixels[path.pixel];
-            pixel.emitted += path.throughput * s.emission;
+            pixels[path.pixel].emitted += path.throughput * s.emission;
             path.throughput *= s.bsdf.reflectance;
             if (!s.bsdf.specular()) {
-                pixel.albedo = path.throughput;
-                pixel.normal = s.n;
-                pixel.depth = path.length;
-                pixel.surface = surface_id(world, hits[i], path.mirrors);
-                receivers.push_back({path.pixel, s});
+                arrive(path, hits[i], s);
                 continue;
             }
             const auto reflected = sample(s.bsdf, s.n, s.wo, vec2(0));
@@ -65,10 +52,79 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
         rays.resize(kept);
         hits.resize(kept);
     }
+    return traced;
+}
+
+/// Whether the neighbours of a pixel see lamps beside other things. The pixel's own ray has no say:
+/// that would favour what it happened to find.
+bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint32_t pixel) {
+    const int width = tile.rect.width();
+    const int x = int(pixel) % width, y = int(pixel) / width;
+    vec3 lo(1), hi(0);
+    for (int v = std::max(y - 1, 0); v <= std::min(y + 1, tile.rect.height() - 1); ++v) {
+        for (int u = std::max(x - 1, 0); u <= std::min(x + 1, width - 1); ++u) {
+            if (u == x && v == y) continue;
+            const vec3 seen = glm::clamp(pixels[std::size_t(v * width + u)].emitted, 0.0f, 1.0f);
+            lo = glm::min(lo, seen);
+            hi = glm::max(hi, seen);
+        }
+    }
+    return max_component(hi - lo) > rim_contrast;
+}
+
+/// Sends more rays through the rims of lamps, where one ray finds all of a great radiance or
+/// nothing; only what emits is taken from them.
+std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TilePass& tile,
+                          std::span<PixelSample> pixels) {
+    std::vector<std::uint32_t> rims;
+    for (std::uint32_t i = 0; i < pixels.size(); ++i)
+        if (at_rim(tile, pixels, i)) rims.push_back(i);
+    std::vector<EyePath> paths;
+    std::vector<Ray> rays;
+    constexpr float share = 1.0f / (rim_rays + 1);
+    for (const std::uint32_t pixel : rims) {
+        pixels[pixel].emitted *= share;
+        for (std::uint32_t k = 0; k < rim_rays; ++k) {
+            Sampler sampler = tile.sampler(pixel, 4, tile.pass * rim_rays + k);
+            paths.push_back({.pixel = pixel, .throughput = vec3(share)});
+            rays.push_back(camera.ray(vec2(tile.raster(pixel)) + sampler.next()));
+        }
+    }
+    return follow(world, std::move(paths), std::move(rays), pixels,
+                  [](const EyePath&, const Hit&, const SurfacePoint&) {});
+}
+
+}  // namespace
+
+Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
+    const ivec2 at = raster(pixel);
+    const std::uint32_t number = std::uint32_t(at.y) * std::uint32_t(size.width) + at.x;
+    return {index, hash(hash(seed, purpose), number)};
+}
+
+std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
+                             std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
+    std::vector<EyePath> paths(pixels.size());
+    std::vector<Ray> rays(pixels.size());
+    for (std::uint32_t i = 0; i < pixels.size(); ++i) {
+        paths[i].pixel = i;
+        rays[i] = camera.ray(vec2(tile.raster(i)) + tile.sampler(i, 0).next());
+    }
+    receivers.clear();
+    const std::uint64_t traced =
+        follow(world, std::move(paths), std::move(rays), pixels,
+               [&](const EyePath& path, const Hit& hit, const SurfacePoint& s) {
+                   PixelSample& pixel = pixels[path.pixel];
+                   pixel.albedo = path.throughput;
+                   pixel.normal = s.n;
+                   pixel.depth = path.length;
+                   pixel.surface = surface_id(world, hit, path.mirrors);
+                   receivers.push_back({path.pixel, s});
+               });
     // Mirrors delay some pixels: put them back in order.
     std::sort(receivers.begin(), receivers.end(),
               [](const Receiver& a, const Receiver& b) { return a.pixel < b.pixel; });
-    return traced;
+    return traced + refine_rims(world, camera, tile, pixels);
 }
 
 }  // namespace tessera

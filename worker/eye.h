@@ -1,5 +1,5 @@
 // Eye rays of a tile: one jittered ray per pixel, followed through mirrors to the first surface
-// that scatters. What both integrators start from and what they fill in.
+// that scatters, and more on the rims of lamps. What both integrators start from and fill in.
 #pragma once
 
 #include <vector>
@@ -51,7 +51,10 @@ struct TilePass {
         return {rect.x0 + int(pixel % width), rect.y0 + int(pixel / width)};
     }
     /// The sequence of one pixel; its points are indexed by the pass.
-    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const;
+    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const {
+        return sampler(pixel, purpose, pass);
+    }
+    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
 };
 
 /// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the

@@ -4,10 +4,11 @@
 // discontinuity filter then averages over neighbours, which used the other sets.
 //
 // We differ in compensating for the bound of the geometry term (Kollig and Keller, "Illumination in
-// the Presence of Weak Singularities", 2004), exactly but for bounds inside the compensation, and
-// in taking light straight from lamps apart from the VPLs: one point on one light per pixel and
-// pass, chosen among candidates by what they would contribute (Talbot, Cline and Egbert,
-// "Importance Resampling for Global Illumination", 2005).
+// the Presence of Weak Singularities", 2004) by paths of short rays, which make up for the bound at
+// their own vertices, too, so that nothing is lost; and in taking light straight from lamps apart
+// from the VPLs: one point on one light per pixel and pass, chosen among candidates by what they
+// would contribute (Talbot, Cline and Egbert, "Importance Resampling for Global Illumination",
+// 2005), combined with lamps that the short rays find.
 #pragma once
 
 #include "worker/eye.h"
@@ -21,15 +22,18 @@ struct IgiConfig {
     /// make bright spots.
     float max_geometry = infinity;
     std::uint32_t bounces = 64;
+    /// What the discontinuity filter spans, seen from the eye; rad.
+    float filter_angle = 0;
 };
 
-/// Adds direct irradiance to `pixels`. Returns the number of rays traced.
-std::uint64_t gather_direct(const World& world, const TilePass& tile,
+/// Adds direct irradiance to `pixels`, but for the share of near lamps that gather_compensation()
+/// brings. Returns the number of rays traced.
+std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
 
-/// Adds what the bound takes away from gather_indirect(): one short scattered ray per receiver
-/// finds a surface so near that its geometry term exceeds the bound, and adds the excess of its
-/// light. Returns the number of rays traced.
+/// Adds what the bound takes away from gather_indirect(), and near lamps. A short scattered ray per
+/// receiver finds surfaces so near that their geometry term exceeds the bound, adds the excess of
+/// their light and goes on from there. Returns the number of rays traced.
 std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
                                   const VplSets& sets, std::span<const Receiver> receivers,
                                   std::span<PixelSample> pixels);

@@ -111,7 +111,7 @@ bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vect
     if (walk.bounces++ >= bounces) return false;
     const vec3 leaving = walk.flux * s.bsdf.reflectance * shading_correction(s);
     if (!(max_component(leaving) > 0) || !is_finite(leaving)) return false;
-    vpls.push_back({s.org, s.ng, leaving / pi});
+    vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces});
     const float survival = std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
     const vec2 u_dir = walk.sampler.next();
     if (!(walk.sampler.next().x < survival)) return false;
@@ -179,9 +179,10 @@ VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t
                       std::span<const Receiver> pilots) {
     const std::uint32_t n = config.interleave;
     const std::uint32_t set_count = n * n;
-    const std::uint32_t random = hash(hash(config.seed, 0xd1), pass);
+    // Passes spread evenly over the shifts of the grid and of the choice.
+    Sampler sampler(pass, hash(config.seed, 0xd1));
     VplSets sets;
-    sets.offset = ivec2(random % n, random / n % n);
+    sets.offset = ivec2(sampler.next() * float(n));
     sets.first.assign(set_count + 1, 0);
 
     // Walk more paths than needed; passes continue one sequence.
@@ -195,7 +196,7 @@ VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t
 
     // Take VPLs at equal steps along the curve and deal them out to the sets in turn.
     const std::uint32_t total = set_count * config.vpls;
-    const float u = unit_float(hash(random));
+    const float u = sampler.next().x;
     std::vector<Vpl> taken;
     for (std::uint32_t i = 0; i < total; ++i) {
         const auto chosen = choice.sample((float(i) + u) / float(total));

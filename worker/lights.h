@@ -35,6 +35,8 @@ public:
     /// Whether the scene is black.
     bool empty() const { return choice_.empty(); }
     std::size_t triangle_count() const { return triangles_.size(); }
+    /// Triangles and punctual lights.
+    std::size_t size() const { return triangles_.size() + punctual_.size(); }
 
     /// Chooses a light with u_light and a point on it with u. Nothing when it does not face `p`.
     std::optional<LightSample> sample(const vec3& p, float u_light, const vec2& u) const;

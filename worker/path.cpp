@@ -28,12 +28,6 @@ struct Batch {
     std::vector<std::uint8_t> blocked;
 };
 
-/// Of the strategy with density a > 0 against one with density b; either may be infinite.
-float power_heuristic(float a, float b) {
-    const float ratio = b / a;
-    return 1 / (1 + ratio * ratio);
-}
-
 void deposit(PixelSample& pixel, bool direct, const vec3& irradiance) {
     (direct ? pixel.direct : pixel.indirect) += irradiance;
 }

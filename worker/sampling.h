@@ -121,6 +121,13 @@ inline vec2 sample_triangle(const vec2& u) {
     return offset > 0 ? vec2(b.x, b.y + offset) : vec2(b.x - offset, b.y);
 }
 
+/// Weight of the strategy with density a > 0 against one with density b; either may be infinite
+/// (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering", 1995).
+inline float power_heuristic(float a, float b) {
+    const float ratio = b / a;
+    return 1 / (1 + ratio * ratio);
+}
+
 /// Chooses among n things in proportion to their weights; what has no weight is never chosen.
 class Distribution {
 public:

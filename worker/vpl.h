@@ -11,9 +11,10 @@ namespace tessera {
 
 /// Light that leaves a surface point, as if from a tiny Lambertian lamp.
 struct Vpl {
-    vec3 org{0};        ///< beside the surface, where shadow rays start
-    vec3 ng{0};         ///< unit normal of the lit side
-    vec3 intensity{0};  ///< along the normal, W/sr
+    vec3 org{0};                ///< beside the surface, where shadow rays start
+    vec3 ng{0};                 ///< unit normal of the lit side
+    vec3 intensity{0};          ///< along the normal, W/sr
+    std::uint32_t bounces = 1;  ///< reflections since the light, the one here counted
 };
 
 /// The n x n sets of one pass, one after the other.

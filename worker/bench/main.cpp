@@ -95,7 +95,9 @@ void add_stability(CLI::App& app, Options& options) {
 
 int main(int argc, char** argv) {
     using namespace tessera;
-    CLI::App app("Benchmarks of the tracer.", "tessera bench");
+    CLI::App app(
+        "Benchmarks of the tracer. `tessera bench quality --help` tells of that of pictures.",
+        "tessera bench");
     app.require_subcommand(1);
     Options options;
     add_trace(app, options);
