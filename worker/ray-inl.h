@@ -4,10 +4,13 @@
 // Wald, Benthin and Boulos, "Getting Rid of Packets: Efficient SIMD Single-Ray Traversal using
 // Multi-branching BVHs" (2008), for both levels of the scene (Wald 2004, chapter 9), for closest
 // hit and for occlusion. We differ in being exact: a box is skipped only when the ray misses it for
-// certain, the float test of triangles only rejects, within its error bound, and what it leaves is
-// decided in double (worker/triangle.h). The nearer plane of a slab follows from the sign bit of
+// certain, the float test of triangles decides only what its error bound allows, and what it leaves
+// is decided in double (worker/triangle.h). The nearer plane of a slab follows from the sign bit of
 // the direction, which tells -0 from +0; a ray inside a slab's face (distance NaN) keeps its
 // segment; and traversal ends when no box left to visit starts before the hit.
+//
+// Occlusion rays through one object go in waves, which part computing from branching, in the manner
+// of Laine, Karras and Aila, "Megakernels Considered Harmful" (2013).
 #if defined(TESSERA_RAY_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef TESSERA_RAY_INL_H
 #undef TESSERA_RAY_INL_H
@@ -15,6 +18,9 @@
 #define TESSERA_RAY_INL_H
 #endif
 
+#include <optional>
+
+#include "hwy/cache_control.h"
 #include "worker/kernels.h"
 #include "worker/simd-inl.h"
 
@@ -27,6 +33,9 @@ using Tree = WideTree<W>;
 using Block = TriangleBlock<W>;
 using SceneObject = WideObject<W>;
 using Scene = WideScene<W>;
+
+/// Other rays would meet every box, only to miss every triangle.
+HWY_INLINE bool is_sound(const Ray& ray) { return is_finite(ray.org) && is_finite(ray.dir); }
 
 /// Meets boxes.
 class BoxRay {
@@ -64,77 +73,97 @@ private:
     int negative_[3];
 };
 
-HWY_INLINE Float load_links(const Node& node) {
-    return load(reinterpret_cast<const float*>(node.children));
-}
+/// What is left to visit.
+template <bool ordered>
+class LinkStack {
+public:
+    LinkStack() {}  // Leaves the memory as it is.
 
-/// Sorts the stack above `base`, the nearest on top.
-HWY_INLINE void bring_nearest_up(float* starts, float* links, int base, int top) {
-    for (int i = base + 1; i < top; ++i) {
-        const float start = starts[i], link = links[i];
-        int place = i;
-        for (; place != base && starts[place - 1] < start; --place) {
-            starts[place] = starts[place - 1];
-            links[place] = links[place - 1];
-        }
-        starts[place] = start;
-        links[place] = link;
+    void clear() { top_ = 0; }
+
+    /// Adds the lanes that are set in `met`; if ordered, the nearest of them on top.
+    HWY_INLINE void push(const Node& node, Mask met, Float start) {
+        // Moving all at once costs less than branching over each.
+        const Float links = load(reinterpret_cast<const float*>(node.children));
+        hn::StoreU(compress(links, met), lanes_tag, links_ + top_);
+        if constexpr (ordered) hn::StoreU(compress(start, met), lanes_tag, starts_ + top_);
+        const int base = top_;
+        top_ += std::popcount(bits(met));
+        if constexpr (ordered) bring_nearest_up(base);
     }
-}
 
-/// Calls `leaf(link)` for the leaves that the ray may meet, the nearest first as far as boxes tell.
-/// `leaf` returns the largest t that still matters: the hit's, or -infinity to stop.
+    /// Takes the next that starts at or before `t_last`; false when none is left.
+    HWY_INLINE bool pop(float t_last, WideLink& link) {
+        while (top_ > 0) {
+            --top_;
+            if (ordered && !(starts_[top_] <= t_last)) continue;
+            link = std::bit_cast<WideLink>(links_[top_]);
+            return true;
+        }
+        return false;
+    }
+
+private:
+    HWY_INLINE void bring_nearest_up(int base) {
+        for (int i = base + 1; i < top_; ++i) {
+            const float start = starts_[i], link = links_[i];
+            int place = i;
+            for (; place != base && starts_[place - 1] < start; --place) {
+                starts_[place] = starts_[place - 1];
+                links_[place] = links_[place - 1];
+            }
+            starts_[place] = start;
+            links_[place] = link;
+        }
+    }
+
+    int top_ = 0;
+    float links_[wide_stack_size<W>];  // the bits of WideLinks, which SIMD moves as floats
+    float starts_[ordered ? wide_stack_size<W> : 1];
+};
+
+/// Calls `leaf(link)` for the leaves that the ray may meet; if ordered, the nearest first as far as
+/// boxes tell. `leaf` returns the largest t that still matters: the hit's, or -infinity to stop.
 template <bool ordered, class Leaf>
 HWY_INLINE void traverse(const Tree& tree, const BoxRay& ray, float t_last, WideLink from,
                          Leaf&& leaf) {
-    float starts[wide_stack_size<W>];
-    float links[wide_stack_size<W>];  // of WideLinks the bits, which SIMD moves as floats
-    int top = 0;
+    LinkStack<ordered> stack;
     WideLink link = from;
-    while (true) {
-        if (link.is_leaf()) {
-            t_last = leaf(link);
-        } else {
+    do {
+        while (!link.is_leaf()) {
             const Node& node = tree.nodes[link.first()];
             Float start;
-            const Mask hit = ray.meets(node, t_last, start);
-            const Bits hits = bits(hit);
-            if (!hits) {
-                // Falls through to the next of the stack.
-            } else if (!(hits & (hits - 1))) {
-                link = node.children[std::countr_zero(hits)];
-                continue;
+            const Mask met = ray.meets(node, t_last, start);
+            const Bits lanes = bits(met);
+            if (std::has_single_bit(lanes)) {
+                link = node.children[std::countr_zero(lanes)];
             } else {
-                // Moving all at once costs less than branching over each.
-                hn::StoreU(hn::Compress(start, hit), lanes_tag, starts + top);
-                hn::StoreU(hn::Compress(load_links(node), hit), lanes_tag, links + top);
-                const int base = top;
-                top += std::popcount(hits);
-                if constexpr (ordered) bring_nearest_up(starts, links, base, top);
+                if (lanes) stack.push(node, met, start);
+                if (!stack.pop(t_last, link)) return;
             }
         }
-        do {
-            if (top == 0) return;
-            --top;
-        } while (!(starts[top] <= t_last));
-        link = std::bit_cast<WideLink>(links[top]);
-    }
+        t_last = leaf(link);
+    } while (t_last != -infinity && stack.pop(t_last, link));
 }
 
-/// Rejects triangles.
+/// Sorts triangles by whether a ray hits them, in float.
 class TriangleFilter {
 public:
-    TriangleFilter(const Ray& ray, const TriangleRay& exact) : tmin_(ray.tmin) {
-        const auto [x, y, z] = exact.axes();
-        axes_[0] = x, axes_[1] = y, axes_[2] = z;
-        for (int k = 0; k < 3; ++k) {
-            org_[k] = ray.org[axes_[k]];
-            shear_[k] = float(exact.shear()[k]);
-        }
+    explicit TriangleFilter(const Ray& ray) : axes_(axes_of(ray.dir)), tmin_(ray.tmin) {
+        // Indexing a vec3 with a variable branches.
+        const float *const org = &ray.org.x, *const dir = &ray.dir.x;
+        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[k]];
+        shear_[2] = 1 / dir[axes_[2]];
+        shear_[0] = dir[axes_[0]] * shear_[2];
+        shear_[1] = dir[axes_[1]] * shear_[2];
     }
 
-    /// The lanes whose triangles the ray may hit in tmin < t <= t_last.
-    HWY_INLINE Bits may_hit(const Block& block, float t_last) const {
+    struct Lanes {
+        Bits maybe;   ///< those whose triangles the ray may hit in tmin < t <= t_last
+        Bits surely;  ///< those of them that it hits for certain, in tmin < t < t_last
+    };
+
+    HWY_INLINE Lanes sort(const Block& block, float t_last) const {
         Float x[3], y[3], t[3], width = hn::Zero(lanes_tag), depth = width;
         for (int k = 0; k < 3; ++k) {
             const Float z = load(block.corners[k][axes_[2]]) - splat(org_[2]);
@@ -150,76 +179,53 @@ public:
         const Float u = hn::MulSub(x[2], y[1], y[2] * x[1]);
         const Float v = hn::MulSub(x[0], y[2], y[0] * x[2]);
         const Float w = hn::MulSub(x[1], y[0], y[1] * x[0]);
-        // Counted in units of 2^-24: with M = extent and |sx|, |sy| <= 1, a sheared coordinate is
-        // wrong by at most 6 M, and an edge function, with coordinates up to W = width, by
-        // 30 M W + 72 M^2.
+        // Counted in units of 2^-24: with M = extent and |sx|, |sy| <= 1, which were rounded twice,
+        // a sheared coordinate is wrong by at most 6 M, and an edge function, with coordinates up
+        // to W = width, by 30 M W + 72 M^2.
         constexpr float unit = 0x1p-24f;
         const Float error = splat(64 * unit) * extent * hn::MulAdd(splat(4 * unit), extent, width);
-        const Mask beside = hn::And(min3(u, v, w) < hn::Neg(error), max3(u, v, w) > error);
-        // A hit lies between the vertices; each t is wrong by at most 2 of these units.
-        constexpr float slack = 8 * unit;
-        const Mask before = max3(t[0], t[1], t[2]) * splat(1 + slack) < splat(tmin_);
-        const Mask behind = min3(t[0], t[1], t[2]) * splat(1 - slack) > splat(t_last);
-        return all_lanes & ~bits(hn::Or(beside, hn::Or(before, behind)));
+        const Float least = min3(u, v, w), most = max3(u, v, w);
+        const Mask beside = hn::And(least<hn::Neg(error), most> error);
+        const Mask inside = hn::Or(least > error, most < hn::Neg(error));
+        // A hit lies between the vertices; each t is wrong by at most 3 of these units, and the
+        // hit's is rounded once more.
+        const Float slack = splat(8 * unit);
+        const Float first = min3(t[0], t[1], t[2]), last = max3(t[0], t[1], t[2]);
+        const Mask before = hn::MulAdd(slack, hn::Abs(last), last) < splat(tmin_);
+        const Mask behind = hn::NegMulAdd(slack, hn::Abs(first), first) > splat(t_last);
+        const Mask outside = hn::Or(before, behind);
+
+        // For certain it is at t_det / det, of which t_det is wrong by at most 3 times the error of
+        // an edge function times the largest t, and det by 2 of that error.
+        const Float sum = u + v + w, det = hn::Abs(sum);
+        const Float t_det =
+            hn::Xor(hn::MulAdd(u, t[0], hn::MulAdd(v, t[1], w * t[2])), hn::Xor(det, sum));
+        const Float reach = splat(3) * hn::Max(hn::Abs(first), hn::Abs(last));
+        const auto beyond = [&](float end)
+                                HWY_ATTR { return hn::NegMulAdd(splat(end), det, t_det); };
+        const auto doubt = [&](float end)
+                               HWY_ATTR { return error * (reach + splat(2 * std::abs(end))); };
+        const Mask within =
+            hn::And(beyond(tmin_) > doubt(tmin_), beyond(t_last) < hn::Neg(doubt(t_last)));
+        return {all_lanes & ~bits(hn::Or(beside, outside)), bits(hn::And(inside, within))};
     }
 
 private:
-    int axes_[3];
+    std::array<int, 3> axes_;
     float org_[3], shear_[3], tmin_;
 };
 
-/// One ray's way through the scene, and the best hit so far.
-template <bool any_hit>
-class Query {
-public:
-    explicit Query(float tmax = infinity) { hit_.t = tmax; }
-
-    /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's
-    /// space.
-    HWY_INLINE void trace(const SceneObject& object, const Ray& ray, std::uint32_t instance,
-                          WideLink from = WideLink::node(0)) {
-        const BoxRay box_ray(ray);
-        const TriangleRay exact(ray);
-        const TriangleFilter filter(ray, exact);
-        traverse<!any_hit>(object.tree, box_ray, hit_.t, from, [&](WideLink leaf) HWY_ATTR {
-            const Block* const first = &object.blocks[leaf.first()];
-            for (const Block& block : std::span(first, leaf.count())) {
-                for (Bits may = filter.may_hit(block, last_t()); may; may &= may - 1)
-                    test(exact, block, std::countr_zero(may), instance);
-                if (any_hit && hit_.valid()) break;
-            }
-            return last_t();
-        });
+/// Whether `ray` hits one of a block's triangles, which were sorted to `lanes`.
+HWY_INLINE bool hits_any(const Ray& ray, const Block& block, TriangleFilter::Lanes lanes) {
+    if (lanes.surely) return true;
+    for (Bits may = lanes.maybe; may; may &= may - 1) {
+        const int lane = std::countr_zero(may);
+        if (block.ids[lane] == Block::no_triangle) break;
+        TriangleHit hit;
+        if (TriangleRay(ray).hits(block, lane, hit)) return true;
     }
-
-    /// The largest t that can still change the answer.
-    float last_t() const { return any_hit && hit_.valid() ? -infinity : hit_.t; }
-
-    bool found() const { return hit_.valid(); }
-    Hit result() const { return hit_.valid() ? hit_ : Hit{}; }
-
-    /// Tests the triangle in a lane.
-    void test(const TriangleRay& ray, const Block& block, int lane, std::uint32_t instance) {
-        const std::uint32_t triangle = block.ids[lane];
-        // The best hit so far is met again in each leaf that its triangle reaches.
-        if (triangle == Block::no_triangle ||
-            (triangle == hit_.triangle && instance == hit_.instance))
-            return;
-        TriangleHit found;
-        if (ray.hits(block.lane(lane), found)) take(found, instance, triangle);
-    }
-
-private:
-    void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
-        const auto precedes = [&] {
-            return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
-        };
-        if (found.t < hit_.t || (found.t == hit_.t && hit_.valid() && precedes()))
-            hit_ = {found.t, found.u, found.v, instance, triangle};
-    }
-
-    Hit hit_;
-};
+    return false;
+}
 
 /// Remembers instances that a ray was tested against: their boxes overlap many cells, and a test is
 /// expensive (Wald 2004, 9.6.1). Forgetting one costs time only.
@@ -235,39 +241,213 @@ private:
     std::array<std::uint32_t, 16> seen_;
 };
 
+/// One ray's way through the scene, and the best hit so far.
 template <bool any_hit>
-void trace_instances(const Scene& scene, const Ray& ray, Query<any_hit>& query) {
-    Mailbox mailbox;
-    traverse<!any_hit>(
-        scene.top, BoxRay(ray), query.last_t(), WideLink::node(0), [&](WideLink leaf) HWY_ATTR {
+class Query {
+public:
+    /// `tmax` is that of the rays to be traced.
+    explicit Query(float tmax = infinity) { hit_.t = tmax; }
+
+    /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's
+    /// space.
+    HWY_INLINE void trace(const SceneObject& object, const Ray& ray, std::uint32_t instance,
+                          WideLink from = WideLink::node(0)) {
+        const TriangleFilter filter(ray);
+        const TriangleRay exact(ray);  // of which the compiler drops what any_hit does not use
+        const auto visit = [&](WideLink leaf) HWY_ATTR {
+            const Block* const first = &object.blocks[leaf.first()];
+            for (const Block& block : std::span(first, leaf.count())) {
+                const TriangleFilter::Lanes lanes = filter.sort(block, hit_.t);
+                if constexpr (!any_hit) {
+                    test(exact, block, lanes.maybe, instance);
+                } else if (hits_any(ray, block, lanes)) {
+                    hit_.instance = instance;
+                    break;
+                }
+            }
+            return last_t();
+        };
+        traverse<!any_hit>(object.tree, BoxRay(ray), hit_.t, from, visit);
+    }
+
+    /// Traces through all instances.
+    void trace(const Scene& scene, const Ray& ray) {
+        Mailbox mailbox;
+        const auto visit = [&](WideLink leaf) HWY_ATTR {
             for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
-                if (query.last_t() == -infinity) break;
                 if (mailbox.test_and_set(item)) continue;
                 const WideInstance& instance = scene.instances[item];
-                query.trace(scene.objects[instance.object],
-                            transformed(ray, instance.object_from_world), instance.id);
+                trace(scene.objects[instance.object], transformed(ray, instance.object_from_world),
+                      instance.id);
+                if (any_hit && found()) break;
             }
-            return query.last_t();
-        });
-}
+            return last_t();
+        };
+        traverse<!any_hit>(scene.top, BoxRay(ray), hit_.t, WideLink::node(0), visit);
+    }
+
+    bool found() const { return hit_.valid(); }
+    /// Of any hit, only whether there is one.
+    Hit result() const { return found() ? hit_ : Hit{}; }
+
+private:
+    /// The largest t that can still change the answer.
+    float last_t() const { return any_hit && found() ? -infinity : hit_.t; }
+
+    HWY_INLINE void test(const TriangleRay& ray, const Block& block, Bits may,
+                         std::uint32_t instance) {
+        for (; may; may &= may - 1) {
+            const int lane = std::countr_zero(may);
+            const std::uint32_t triangle = block.ids[lane];
+            if (triangle == Block::no_triangle) break;
+            // The best hit so far is met again in each leaf that its triangle reaches.
+            if (triangle == hit_.triangle && instance == hit_.instance) continue;
+            TriangleHit hit;
+            if (ray.hits(block, lane, hit)) take(hit, instance, triangle);
+        }
+    }
+
+    void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
+        const auto precedes = [&] {
+            return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
+        };
+        if (found.t < hit_.t || (found.t == hit_.t && hit_.valid() && precedes()))
+            hit_ = {found.t, found.u, found.v, instance, triangle};
+    }
+
+    Hit hit_;
+};
 
 template <bool any_hit>
 Hit trace(const Scene& scene, const Ray& ray) {
-    // It would meet every box, only to miss every triangle.
-    if (!is_finite(ray.org) || !is_finite(ray.dir)) return {};
+    if (!is_sound(ray)) return {};
     Query<any_hit> query(ray.tmax);
     if (scene.single)
         query.trace(scene.objects[0], ray, 0);
     else
-        trace_instances(scene, ray, query);
+        query.trace(scene, ray);
     return query.result();
 }
+
+/// Tells which rays an object blocks, some rays at a time and all of these by one step in turn:
+/// first what has no branches, for all of them, then what branches on it. A mispredicted branch
+/// then costs little, for what it waits for is known, and memory has the time of a turn to answer.
+class OcclusionWave {
+public:
+    OcclusionWave(const SceneObject& object, std::span<const Ray> rays,
+                  std::span<std::uint8_t> blocked)
+        : object_(object), rays_(rays), blocked_(blocked) {}
+
+    void run() {
+        for (Walk& walk : walks_) start(walk);
+        while (nodes_.count + leaves_.count > 0) {
+            meet_boxes();
+            meet_triangles();
+        }
+    }
+
+private:
+    struct Walk {
+        std::size_t index;  ///< of the ray
+        std::optional<BoxRay> boxes;
+        std::optional<TriangleFilter> triangles;
+        WideLink next;
+        TriangleFilter::Lanes lanes;
+        LinkStack<false> stack;
+    };
+
+    static constexpr int size = 8;
+
+    struct List {
+        Walk* walks[size + 1];  ///< one more, to write to without a branch
+        int count = 0;
+
+        /// Empties the list; the walks stay where they are until others take their places.
+        std::span<Walk*> take() { return {walks, std::size_t(std::exchange(count, 0))}; }
+    };
+
+    HWY_INLINE void meet_boxes() {
+        const auto walks = nodes_.take();
+        for (Walk* walk : walks) {
+            const Node& node = object_.tree.nodes[walk->next.first()];
+            Float start;
+            const Mask met = walk->boxes->meets(node, rays_[walk->index].tmax, start);
+            walk->stack.push(node, met, start);
+        }
+        for (Walk* walk : walks) advance(*walk);
+    }
+
+    HWY_INLINE void meet_triangles() {
+        const auto walks = leaves_.take();
+        for (Walk* walk : walks)
+            walk->lanes =
+                walk->triangles->sort(object_.blocks[walk->next.first()], rays_[walk->index].tmax);
+        for (Walk* walk : walks) {
+            const WideLink leaf = walk->next;
+            if (hits_any(rays_[walk->index], object_.blocks[leaf.first()], walk->lanes)) {
+                blocked_[walk->index] = true;
+                start(*walk);
+            } else if (leaf.count() > 1) {
+                walk->next = WideLink::leaf(leaf.first() + 1, leaf.count() - 1);
+                place(*walk);
+            } else {
+                advance(*walk);
+            }
+        }
+    }
+
+    /// Goes on to what the stack holds, or with another ray.
+    HWY_INLINE void advance(Walk& walk) {
+        if (walk.stack.pop(infinity, walk.next))
+            place(walk);
+        else
+            start(walk);
+    }
+
+    /// Gives the walk the next ray, if there is one.
+    HWY_INLINE void start(Walk& walk) {
+        while (next_ < rays_.size()) {
+            const std::size_t i = next_++;
+            blocked_[i] = false;
+            if (!is_sound(rays_[i])) continue;
+            walk.index = i;
+            walk.boxes.emplace(rays_[i]);
+            walk.triangles.emplace(rays_[i]);
+            walk.next = WideLink::node(0);
+            walk.stack.clear();
+            return place(walk);
+        }
+    }
+
+    HWY_INLINE void place(Walk& walk) {
+        const bool leaf = walk.next.is_leaf();
+        if (leaf)
+            prefetch(&object_.blocks[walk.next.first()], sizeof(Block::corners));
+        else
+            prefetch(&object_.tree.nodes[walk.next.first()], sizeof(Node));
+        nodes_.walks[nodes_.count] = leaves_.walks[leaves_.count] = &walk;
+        nodes_.count += !leaf;
+        leaves_.count += leaf;
+    }
+
+    static HWY_INLINE void prefetch(const void* at, std::size_t bytes) {
+        for (std::size_t i = 0; i < bytes; i += 64) hwy::Prefetch(static_cast<const char*>(at) + i);
+    }
+
+    const SceneObject& object_;
+    std::span<const Ray> rays_;
+    std::span<std::uint8_t> blocked_;
+    std::size_t next_ = 0;
+    List nodes_, leaves_;
+    Walk walks_[size];
+};
 
 void closest_hits(const Scene& scene, std::span<const Ray> rays, std::span<Hit> hits) {
     for (std::size_t i = 0; i < rays.size(); ++i) hits[i] = trace<false>(scene, rays[i]);
 }
 
 void occluded(const Scene& scene, std::span<const Ray> rays, std::span<std::uint8_t> blocked) {
+    if (scene.single) return OcclusionWave(scene.objects[0], rays, blocked).run();
     for (std::size_t i = 0; i < rays.size(); ++i) blocked[i] = trace<true>(scene, rays[i]).valid();
 }
 

@@ -7,7 +7,9 @@
 #define TESSERA_SIMD_INL_H
 #endif
 
+#include <array>
 #include <bit>
+#include <cstdint>
 
 #include "hwy/highway.h"
 
@@ -47,6 +49,29 @@ HWY_INLINE Mask mask_of(Bits set) {
 template <class F>
 HWY_INLINE void for_each_bit(Bits set, F&& f) {
     for (; set; set &= set - 1) f(std::countr_zero(set));
+}
+
+/// For each mask of up to eight lanes the lanes that are set, the lowest first, in four bits each.
+constexpr auto lanes_of_masks = [] {
+    std::array<std::uint32_t, 256> table{};
+    for (Bits mask = 0; mask < table.size(); ++mask)
+        for (int lane = 0, count = 0; lane < 8; ++lane)
+            if (mask >> lane & 1) table[mask] |= std::uint32_t(lane) << 4 * count++;
+    return table;
+}();
+
+/// The lanes of the mask, moved together; what lies behind them is left open.
+HWY_INLINE Float compress(Float x, Mask mask) {
+    if constexpr (W > 8) {
+        return hn::Compress(x, mask);
+    } else {
+        // gcc 12 copies the whole table of Highway's Compress to the stack for each call.
+        const hn::RebindToSigned<decltype(lanes_tag)> index_tag;
+        const auto packed = hn::Set(index_tag, std::int32_t(lanes_of_masks[bits(mask)]));
+        const auto lanes = packed >> hn::ShiftLeft<2>(hn::Iota(index_tag, 0));
+        return hn::TableLookupLanes(
+            x, hn::IndicesFromVec(lanes_tag, hn::And(lanes, hn::Set(index_tag, W - 1))));
+    }
 }
 
 /// The greater and the lesser one; `b` where `a` is not a number.

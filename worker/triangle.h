@@ -50,6 +50,16 @@ struct TriangleHit {
     float v = 0;  ///< weight of c
 };
 
+/// The axes, permuted so that `dir` is largest along the last.
+inline std::array<int, 3> axes_of(const vec3& dir) {
+    // Without branches, which rays of all directions would mispredict.
+    constexpr std::array<int, 3> orders[] = {{1, 2, 0}, {2, 0, 1}, {0, 1, 2}};
+    const float x = std::abs(dir.x), y = std::abs(dir.y), z = std::abs(dir.z);
+    const int of_xy = x > y ? 0 : 1;
+    const int before_z = int(x > z) | int(y > z);
+    return orders[2 + before_z * (of_xy - 2)];
+}
+
 /// All the tests need of a ray, computed once.
 class TriangleRay {
 public:
@@ -57,6 +67,8 @@ public:
 
     /// The hit with tmin < t < tmax, from either side; false where there is none.
     bool hits(const Triangle& triangle, TriangleHit& hit) const;
+    template <int width>
+    bool hits(const TriangleBlock<width>& block, int lane, TriangleHit& hit) const;
 
     /// The axes, permuted so that `dir` is largest along z, and the shear that turns it to z:
     /// dir.x / dir.z, dir.y / dir.z, 1 / dir.z.
@@ -64,6 +76,10 @@ public:
     glm::dvec3 shear() const { return {sx_, sy_, sz_}; }
 
 private:
+    /// Relative to the ray's origin and permuted.
+    using Corners = std::array<glm::dvec3, 3>;
+    bool decide(const Corners& corners, TriangleHit& hit) const;
+
     int x_, y_, z_;
     float tmin_, tmax_;
     glm::dvec3 org_;  ///< permuted
@@ -95,26 +111,39 @@ Triangle TriangleBlock<width>::lane(int i) const {
 }
 
 inline TriangleRay::TriangleRay(const Ray& ray) : tmin_(ray.tmin), tmax_(ray.tmax) {
-    const vec3 d = abs(ray.dir);
-    z_ = d.x > d.y ? (d.x > d.z ? 0 : 2) : (d.y > d.z ? 1 : 2);
-    x_ = z_ == 2 ? 0 : z_ + 1;
-    y_ = x_ == 2 ? 0 : x_ + 1;
-    org_ = {ray.org[x_], ray.org[y_], ray.org[z_]};
-    sz_ = 1 / double(ray.dir[z_]);
-    sx_ = ray.dir[x_] * sz_;
-    sy_ = ray.dir[y_] * sz_;
+    const auto [x, y, z] = axes_of(ray.dir);
+    x_ = x, y_ = y, z_ = z;
+    // Indexing a vec3 with a variable branches.
+    const float *const org = &ray.org.x, *const dir = &ray.dir.x;
+    org_ = {org[x_], org[y_], org[z_]};
+    sz_ = 1 / double(dir[z_]);
+    sx_ = dir[x_] * sz_;
+    sy_ = dir[y_] * sz_;
 }
 
 inline bool TriangleRay::hits(const Triangle& triangle, TriangleHit& hit) const {
-    const double az = triangle.a[z_] - org_.z;
-    const double bz = triangle.b[z_] - org_.z;
-    const double cz = triangle.c[z_] - org_.z;
-    const double ax = (triangle.a[x_] - org_.x) - sx_ * az,
-                 ay = (triangle.a[y_] - org_.y) - sy_ * az;
-    const double bx = (triangle.b[x_] - org_.x) - sx_ * bz,
-                 by = (triangle.b[y_] - org_.y) - sy_ * bz;
-    const double cx = (triangle.c[x_] - org_.x) - sx_ * cz,
-                 cy = (triangle.c[y_] - org_.y) - sy_ * cz;
+    const auto corner = [&](const vec3& p) {
+        const float* const at = &p.x;
+        return glm::dvec3(at[x_], at[y_], at[z_]) - org_;
+    };
+    return decide({corner(triangle.a), corner(triangle.b), corner(triangle.c)}, hit);
+}
+
+template <int width>
+bool TriangleRay::hits(const TriangleBlock<width>& block, int lane, TriangleHit& hit) const {
+    const auto corner = [&](const float(&p)[3][width]) {
+        return glm::dvec3(p[x_][lane], p[y_][lane], p[z_][lane]) - org_;
+    };
+    return decide({corner(block.corners[0]), corner(block.corners[1]), corner(block.corners[2])},
+                  hit);
+}
+
+inline bool TriangleRay::decide(const Corners& corners, TriangleHit& hit) const {
+    const auto [a, b, c] = corners;
+    const double az = a.z, bz = b.z, cz = c.z;
+    const double ax = a.x - sx_ * az, ay = a.y - sy_ * az;
+    const double bx = b.x - sx_ * bz, by = b.y - sy_ * bz;
+    const double cx = c.x - sx_ * cz, cy = c.y - sy_ * cz;
     const double u = cx * by - cy * bx;
     const double v = ax * cy - ay * cx;
     const double w = bx * ay - by * ax;
