@@ -60,11 +60,11 @@ private:
     std::uint32_t runs_ = 0;
     std::uint32_t passes_ = 0;
     std::vector<float> sum_;
-    std::vector<float> mean_;          ///< of the runs' means; runs count the same
-    std::vector<float> squares_;       ///< squared deviations from it (Welford 1962)
-    std::vector<double> row_errors_;   ///< squared standard errors added up per row
+    std::vector<float> mean_;         ///< of the runs' means; runs count the same
+    std::vector<float> squares_;      ///< squared deviations from it (Welford 1962)
+    std::vector<double> row_errors_;  ///< squared standard errors added up per row
     std::optional<DetailBlend> detail_;
-    std::vector<float> filtered_;      ///< irradiance of the run being folded
+    std::vector<float> filtered_;  ///< irradiance of the run being folded
     std::map<Channel, std::vector<float>> extra_;
 };
 
