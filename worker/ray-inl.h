@@ -227,20 +227,6 @@ HWY_INLINE bool hits_any(const Ray& ray, const Block& block, TriangleFilter::Lan
     return false;
 }
 
-/// Remembers instances that a ray was tested against: their boxes overlap many cells, and a test is
-/// expensive (Wald 2004, 9.6.1). Forgetting one costs time only.
-class Mailbox {
-public:
-    Mailbox() { seen_.fill(~0u); }
-    /// Whether `instance` was surely seen before.
-    bool test_and_set(std::uint32_t instance) {
-        return std::exchange(seen_[instance % seen_.size()], instance) == instance;
-    }
-
-private:
-    std::array<std::uint32_t, 16> seen_;
-};
-
 /// One ray's way through the scene, and the best hit so far.
 template <bool any_hit>
 class Query {
@@ -272,10 +258,8 @@ public:
 
     /// Traces through all instances.
     void trace(const Scene& scene, const Ray& ray) {
-        Mailbox mailbox;
         const auto visit = [&](WideLink leaf) HWY_ATTR {
             for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
-                if (mailbox.test_and_set(item)) continue;
                 const WideInstance& instance = scene.instances[item];
                 trace(scene.objects[instance.object], transformed(ray, instance.object_from_world),
                       instance.id);

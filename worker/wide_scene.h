@@ -27,7 +27,8 @@ struct WideScene {
     std::vector<WideObject<width>> objects;
     bool single = false;  ///< object 0, untransformed, is all there is
 
-    WideTree<width> top;  ///< over the instances, in world space; its leaves hold runs of items
+    WideTree<width>
+        top;  ///< over the instances, in world space; its leaves hold runs of items, each once
     std::vector<std::uint32_t> items;
     std::vector<WideInstance> instances;
 
