@@ -20,6 +20,7 @@ struct Options {
     std::string json;
     bool quick = false;
     bool flatten = false;
+    bool incoherent = false;
     std::vector<std::string> kinds;
     bool kdtree = false;
     bool long_run = false;
@@ -52,6 +53,8 @@ void add_trace(CLI::App& app, Options& options) {
         add_benchmark(app, options, "trace", "Rays a second, ours beside Embree's best");
     add_scenes(command, options);
     command->add_flag("--flatten", options.flatten, "trace all instances as one object");
+    command->add_flag("--incoherent", options.incoherent,
+                      "never tell Embree that rays are coherent; then it misses fewer hits");
     command->add_option("--kind", options.kinds, "trace these rays only")
         ->check(CLI::IsMember(ray_kind_names()));
     command->add_flag("--kdtree", options.kdtree, "trace kd-trees instead of BVHs");
@@ -59,6 +62,7 @@ void add_trace(CLI::App& app, Options& options) {
         TraceBenchConfig config;
         if (options.quick) config = {.view = 128, .repetitions = 3, .vpls = 4};
         config.flatten = options.flatten;
+        config.incoherent = options.incoherent;
         if (!options.kinds.empty()) config.kinds = options.kinds;
         if (options.kdtree) config.builder = TreeBuilder::kdtree;
         write_json(options.json, bench_trace(options.scenes, config));

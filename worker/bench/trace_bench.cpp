@@ -306,10 +306,11 @@ double TraceBench::time_embree(EmbreeQuery& query, const Block& block) {
 }
 
 /// Embree 3.13.5 runs for ever on some coherent packets of shadow rays through instances (seen in
-/// the Cornell box): there it is not told that they are coherent.
+/// the Cornell box): there it is not told that they are coherent. Elsewhere, told so, it misses
+/// some that go through the middle of a triangle (in `building`).
 RayUse TraceBench::embree_use(KindIndex kind) const {
     RayUse use = kinds[kind].use;
-    if (use.occlusion && !embree_->is_single()) use.coherent = false;
+    if (config_.incoherent || (use.occlusion && !embree_->is_single())) use.coherent = false;
     return use;
 }
 

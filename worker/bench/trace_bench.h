@@ -19,7 +19,8 @@ struct TraceBenchConfig {
     int repetitions = 7;  ///< of everything; the median counts
     int vpls = 16;
     std::vector<std::string> kinds = ray_kind_names();
-    bool flatten = false;  ///< trace all instances as one object, without a level above
+    bool incoherent = false;  ///< never tell Embree that rays are coherent
+    bool flatten = false;     ///< trace all instances as one object, without a level above
     TreeBuilder builder = TreeBuilder::bvh;
 };
 
