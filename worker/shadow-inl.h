@@ -177,6 +177,7 @@ private:
         Bits maybe;   ///< groups of which not every ray passes outside one edge or ends too soon
         Bits surely;  ///< groups all of whose rays hit
     };
+    /// How the groups that the shaft holds meet a triangle.
     HWY_INLINE Met groups_met(const Facets& f, int lane) const {
         Float most = splat(infinity), least = most;
         for (const auto& n : f.edges) {

@@ -70,10 +70,9 @@ HWY_INLINE float greatest_of(Float x, Mask among) {
 class Shaft {
 public:
     /// Takes of the `wanted` groups those whose rays all advance well along one axis, and returns
-    /// them. `ends` bounds the directions of each group's rays, along the scene's axes and from the
-    /// origin to where they end; `lanes(i, d)` sets `d` to those of ray i of every group
-    /// and tells in which groups that ray counts; `reach`
-    /// exceeds the distance along each axis of all geometry.
+    /// them. `lanes(i, d)` sets `d` to the directions of ray `i` of every group, from the origin to
+    /// where it ends and along the scene's axes, and returns the groups in which that ray counts;
+    /// no geometry is farther than `reach` from the origin along any axis.
     template <class Lanes>
     Bits set(const vec3& org, Lanes&& lanes, Bits wanted, float reach);
 
@@ -136,10 +135,10 @@ private:
     float widening_;  ///< what slopes are widened by against boxes
     float longest_;   ///< bounds the directions' coordinates
     float reach_;
-    float ends_lo_[3], ends_hi_[3];  ///< bound them, by scene axis and relative to the origin
-    float chunk_[5], chunk_spread_;
-    alignas(64) float group_ends_[3][2][W];
-    alignas(64) float groups_[5][W];
+    float ends_lo_[3], ends_hi_[3];          ///< bound the directions, by scene axis
+    float chunk_[5], chunk_spread_;          ///< Slopes of all rays; how far they stand apart
+    alignas(64) float group_ends_[3][2][W];  ///< [axis, permuted][lo, hi]
+    alignas(64) float groups_[5][W];         ///< Slopes
     alignas(64) float spread_[W];
 };
 

@@ -5,7 +5,7 @@
 //
 // We differ in the precision. The decision, t and the barycentrics are computed in double, so that
 // they are right to the last bit or so of a float and do not depend on who calls. In front stand
-// float tests of many triangles or rays at once (worker/ray-inl.h, worker/shaft-inl.h), which
+// float tests of many triangles or rays at once (worker/ray-inl.h, worker/facet-inl.h), which
 // decide only where their error bounds say that double would decide the same.
 #pragma once
 
