@@ -115,9 +115,10 @@ void for_each_shaft(Shaft& shaft, const vec3& org, Lanes&& lanes, Bits wanted, f
 /// The rays of a chunk against one object, in the object's space.
 class ObjectRays {
 protected:
-    ObjectRays(const SceneObject& object, std::uint32_t instance, const Affine* object_from_world,
-               const vec3& origin, const PointRays& rays)
-        : object_(object),
+    ObjectRays(const Scene& scene, const SceneObject& object, std::uint32_t instance,
+               const Affine* object_from_world, const vec3& origin, const PointRays& rays)
+        : scene_(scene),
+          object_(object),
           instance_(instance),
           from_world_(object_from_world ? &object_from_world->linear : nullptr),
           org_(object_from_world ? object_from_world->point(origin) : origin),
@@ -189,6 +190,7 @@ protected:
         return reached;
     }
 
+    const Scene& scene_;
     const SceneObject& object_;
     std::uint32_t instance_;
     const mat3* from_world_;

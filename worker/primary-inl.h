@@ -18,13 +18,14 @@ namespace HWY_NAMESPACE {
 
 /// The closest hits of a chunk's rays so far, group by group.
 struct Closest {
+    const Scene& scene;
     alignas(64) float t[chunk_size];  ///< zero for rays that there are not
     alignas(64) float u[chunk_size] = {};
     alignas(64) float v[chunk_size] = {};
     alignas(64) std::uint32_t instance[chunk_size];
     alignas(64) std::uint32_t triangle[chunk_size] = {};
 
-    explicit Closest(const Alive& alive) {
+    Closest(const Scene& of_scene, const Alive& alive) : scene(of_scene) {
         std::fill_n(instance, chunk_size, no_instance);
         std::fill_n(t, chunk_size, infinity);
         for (int g = 0; g < W; ++g)
@@ -32,7 +33,7 @@ struct Closest {
     }
     Hit hit(int i) const {
         const bool found = instance[i] != no_instance;
-        return {found ? t[i] : infinity, u[i], v[i], instance[i], triangle[i]};
+        return named(scene, {found ? t[i] : infinity, u[i], v[i], instance[i], triangle[i]});
     }
     /// Takes the hit if it is closer, or as close and of lower ids.
     bool take(int i, const Hit& hit) {
@@ -70,7 +71,7 @@ struct Closest {
 
 private:
     bool precedes(const Hit& hit, int i) const {
-        return std::pair(hit.instance, hit.triangle) < std::pair(instance[i], triangle[i]);
+        return scene.name_of(hit.instance, hit.triangle) < scene.name_of(instance[i], triangle[i]);
     }
 };
 
@@ -174,10 +175,10 @@ private:
 /// The closest hits of a chunk of rays in one object.
 class ObjectClosest : ObjectRays {
 public:
-    ObjectClosest(const SceneObject& object, std::uint32_t instance,
+    ObjectClosest(const Scene& scene, const SceneObject& object, std::uint32_t instance,
                   const Affine* object_from_world, const vec3& origin, const PointRays& rays,
                   const Alive& alive, Closest& best)
-        : ObjectRays(object, instance, object_from_world, origin, rays),
+        : ObjectRays(scene, object, instance, object_from_world, origin, rays),
           alive_(alive),
           best_(best) {}
 
@@ -235,7 +236,7 @@ private:
         for_each_bit(rays, [&](int i) {
             const Ray ray = this->ray(g, i, infinity);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
-            Query<false> query;
+            Query<false> query(scene_);
             query.trace(object_, ray, instance_);
             if (query.found()) best_.take(g * group_size + i, query.result());
         });
@@ -345,7 +346,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectClosest(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+        ObjectClosest(scene_, scene_.objects[instance.object], instance.id, instance.transform(),
                       origin_, rays_, alive_, best_)
             .run(groups);
     }
@@ -386,9 +387,10 @@ void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> 
         RayMask all;
         all.fill(all_rays);
         const Alive alive(all, targets, 0);
-        Closest best(alive);
+        Closest best(scene, alive);
         if (scene.single) {
-            ObjectClosest(scene.objects[0], 0, nullptr, origin, rays, alive, best)
+            ObjectClosest(scene, scene.objects[0], scene.single_id, nullptr, origin, rays, alive,
+                          best)
                 .run(alive.groups);
         } else {
             InstanceClosest query(scene, origin, rays, alive, best);

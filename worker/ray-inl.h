@@ -232,7 +232,7 @@ template <bool any_hit>
 class Query {
 public:
     /// `tmax` is that of the rays to be traced.
-    explicit Query(float tmax = infinity) { hit_.t = tmax; }
+    explicit Query(const Scene& scene, float tmax = infinity) : scene_(scene) { hit_.t = tmax; }
 
     /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's
     /// space.
@@ -257,21 +257,22 @@ public:
     }
 
     /// Traces through all instances.
-    void trace(const Scene& scene, const Ray& ray) {
+    void trace(const Ray& ray) {
         const auto visit = [&](WideLink leaf) HWY_ATTR {
-            for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
-                const WideInstance& instance = scene.instances[item];
-                trace(scene.objects[instance.object], transformed(ray, instance.object_from_world),
-                      instance.id);
+            for (const std::uint32_t item : std::span(&scene_.items[leaf.first()], leaf.count())) {
+                const WideInstance& instance = scene_.instances[item];
+                const Affine* const transform = instance.transform();
+                trace(scene_.objects[instance.object],
+                      transform ? transformed(ray, *transform) : ray, instance.id);
                 if (any_hit && found()) break;
             }
             return last_t();
         };
-        traverse<!any_hit>(scene.top, BoxRay(ray), hit_.t, WideLink::node(0), visit);
+        traverse<!any_hit>(scene_.top, BoxRay(ray), hit_.t, WideLink::node(0), visit);
     }
 
     bool found() const { return hit_.valid(); }
-    /// Of any hit, only whether there is one.
+    /// By the scene's own names. Of any hit, only whether there is one.
     Hit result() const { return found() ? hit_ : Hit{}; }
 
 private:
@@ -293,24 +294,33 @@ private:
 
     void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
         const auto precedes = [&] {
-            return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
+            return scene_.name_of(instance, triangle) <
+                   scene_.name_of(hit_.instance, hit_.triangle);
         };
         if (found.t < hit_.t || (found.t == hit_.t && hit_.valid() && precedes()))
             hit_ = {found.t, found.u, found.v, instance, triangle};
     }
 
+    const Scene& scene_;
     Hit hit_;
 };
 
+/// The hit by the scene's own names.
 template <bool any_hit>
 Hit trace(const Scene& scene, const Ray& ray) {
     if (!is_sound(ray)) return {};
-    Query<any_hit> query(ray.tmax);
+    Query<any_hit> query(scene, ray.tmax);
     if (scene.single)
-        query.trace(scene.objects[0], ray, 0);
+        query.trace(scene.objects[0], ray, scene.single_id);
     else
-        query.trace(scene, ray);
+        query.trace(ray);
     return query.result();
+}
+
+/// A hit as the caller knows it.
+Hit named(const Scene& scene, const Hit& hit) {
+    const auto [instance, triangle] = scene.name_of(hit.instance, hit.triangle);
+    return {hit.t, hit.u, hit.v, instance, triangle};
 }
 
 /// Tells which rays an object blocks, some rays at a time and all of these by one step in turn:
@@ -427,7 +437,8 @@ private:
 };
 
 void closest_hits(const Scene& scene, std::span<const Ray> rays, std::span<Hit> hits) {
-    for (std::size_t i = 0; i < rays.size(); ++i) hits[i] = trace<false>(scene, rays[i]);
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        hits[i] = named(scene, trace<false>(scene, rays[i]));
 }
 
 void occluded(const Scene& scene, std::span<const Ray> rays, std::span<std::uint8_t> blocked) {

@@ -24,10 +24,10 @@ namespace HWY_NAMESPACE {
 /// The shadow rays of a chunk against one object, in the object's space.
 class ObjectShadows : ObjectRays {
 public:
-    ObjectShadows(const SceneObject& object, std::uint32_t instance,
+    ObjectShadows(const Scene& scene, const SceneObject& object, std::uint32_t instance,
                   const Affine* object_from_world, const vec3& light, const PointRays& rays,
                   Alive& alive, OccluderCache* cache)
-        : ObjectRays(object, instance, object_from_world, light, rays),
+        : ObjectRays(scene, object, instance, object_from_world, light, rays),
           alive_(alive),
           cache_(cache) {}
 
@@ -132,7 +132,7 @@ private:
 
     void trace_singly(int g, Bits rays, WideLink from) {
         for_each_bit(rays, [&](int i) {
-            Query<true> query(1);
+            Query<true> query(scene_, 1);
             const Ray ray = this->ray(g, i, 1);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
             query.trace(object_, ray, instance_, from);
@@ -291,7 +291,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectShadows(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+        ObjectShadows(scene_, scene_.objects[instance.object], instance.id, instance.transform(),
                       light_, rays_, alive_, cache_)
             .run(groups);
     }
@@ -320,7 +320,8 @@ RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targ
         Alive alive = asked;
         const PointRays rays(light, targets, first);
         if (scene.single) {
-            ObjectShadows(scene.objects[0], 0, nullptr, light, rays, alive, cache)
+            ObjectShadows(scene, scene.objects[0], scene.single_id, nullptr, light, rays, alive,
+                          cache)
                 .run(alive.groups);
         } else {
             InstanceShadows query(scene, light, rays, alive, cache);

@@ -117,22 +117,30 @@ WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) 
 }
 
 template <int width>
-void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances) {
+void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances,
+               std::span<const std::uint8_t> baked) {
     constexpr std::uint32_t none = ~0u;
     constexpr std::size_t task_instances = 128;
     RawVector<BoxRef> refs(instances.size());
     scene.instances.resize(instances.size());
     const auto place = [&](std::size_t i) {
-        const auto& [object, world_from_object] = instances[i];
+        const auto& [object, world_from_object, moves] = instances[i];
         const auto inverse = inverse_affine(world_from_object);
         const Box box = instance_bounds(scene.objects[object].tree.bounds, world_from_object);
-        refs[i] = finite(box, inverse && !box.empty() ? 0 : none);
+        const bool is_baked = !baked.empty() && baked[i];
+        refs[i] = finite(box, inverse && !box.empty() && !is_baked ? 0 : none);
         if (inverse) scene.instances[i] = {object, std::uint32_t(i), *inverse};
     };
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, refs.size(), task_instances),
                       [&](const auto& part) {
                           for (std::size_t i = part.begin(); i < part.end(); ++i) place(i);
                       });
+
+    const Box& of_baked = scene.objects.empty() ? Box() : scene.objects.back().tree.bounds;
+    if (!baked.empty() && !of_baked.empty()) {
+        refs.push_back(finite(of_baked, 0));
+        scene.instances.push_back({std::uint32_t(scene.objects.size() - 1), baked_instance, {}});
+    }
 
     // Those that can be hit move up.
     std::uint32_t count = 0;
@@ -153,8 +161,11 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
 template WideObject<4> build_object(const TracerObject&, TreeBuilder);
 template WideObject<8> build_object(const TracerObject&, TreeBuilder);
 template WideObject<16> build_object(const TracerObject&, TreeBuilder);
-template void build_top(WideScene<4>&, std::span<const TracerInstance>);
-template void build_top(WideScene<8>&, std::span<const TracerInstance>);
-template void build_top(WideScene<16>&, std::span<const TracerInstance>);
+template void build_top(WideScene<4>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
+template void build_top(WideScene<8>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
+template void build_top(WideScene<16>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
 
 }  // namespace tessera

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "worker/affine.h"
+#include "worker/bake.h"
 #include "worker/raw_vector.h"
 #include "worker/tracer.h"
 #include "worker/triangle.h"
@@ -16,16 +17,24 @@ struct WideObject {
     RawVector<TriangleBlock<width>> blocks;
 };
 
+/// Stands for all baked instances (worker/bake.h).
+inline constexpr std::uint32_t baked_instance = no_instance - 1;
+
 struct WideInstance {
     std::uint32_t object = 0;
-    std::uint32_t id = 0;  ///< the caller's index
+    std::uint32_t id = 0;  ///< the caller's index, or baked_instance
     Affine object_from_world;
+
+    /// Null in world space.
+    const Affine* transform() const { return id == baked_instance ? nullptr : &object_from_world; }
 };
 
 template <int width>
 struct WideScene {
     std::vector<WideObject<width>> objects;
-    bool single = false;  ///< object 0, untransformed, is all there is
+    bool single = false;          ///< object 0, untransformed, is all there is
+    std::uint32_t single_id = 0;  ///< the instance it is
+    TriangleNames names;          ///< of the triangles of baked_instance
 
     WideTree<width>
         top;  ///< over the instances, in world space; its leaves hold runs of items, each once
@@ -33,6 +42,11 @@ struct WideScene {
     std::vector<WideInstance> instances;
 
     const Box& bounds() const { return single ? objects[0].tree.bounds : top.bounds; }
+
+    /// What the caller calls a triangle that was hit.
+    TriangleName name_of(std::uint32_t instance, std::uint32_t triangle) const {
+        return instance == baked_instance ? names[triangle] : TriangleName{instance, triangle};
+    }
 };
 
 /// What makes the objects' trees.
@@ -45,8 +59,10 @@ enum class TreeBuilder : std::uint8_t {
 template <int width>
 WideObject<width> build_object(const TracerObject& object, TreeBuilder builder);
 
-/// Builds the level above `scene.objects` anew, in parallel on the caller's oneTBB arena.
+/// Builds the level above `scene.objects` anew, in parallel on the caller's oneTBB arena. Of the
+/// instances it leaves out the `baked` ones, if that is not empty: the last object holds them.
 template <int width>
-void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances);
+void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances,
+               std::span<const std::uint8_t> baked);
 
 }  // namespace tessera

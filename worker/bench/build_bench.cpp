@@ -151,8 +151,8 @@ Contest top_level(const BenchScene& scene, int threads) {
         const auto built = std::make_shared<WideScene<width>>();
         for (const TracerObject& object : geometry.objects())
             built->objects.push_back(build_object<width>(object, TreeBuilder::bvh));
-        return in_arena(threads,
-                        [built, &geometry] { build_top(*built, std::span(geometry.instances)); });
+        return in_arena(
+            threads, [built, &geometry] { build_top(*built, std::span(geometry.instances), {}); });
     });
     const auto embree =
         std::make_shared<EmbreeRebuild>(EmbreeRebuild::of_instances(geometry, threads));
