@@ -6,6 +6,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <thread>
 
 #include "common/check.h"
 #include "common/generator.h"
@@ -134,6 +135,32 @@ TEST_P(TracerTest, EqualsBruteForceBitForBit) {
     // Nothing is baked; the object with the fewest triangles is.
     expect_brute_force(GetParam(), {.baked_triangles = 0}, 1000);
     expect_brute_force(GetParam(), {.baked_triangles = 1000}, 1000);
+}
+
+/// What deforms is built by whoever first looks at it, and answers as ever.
+TEST(Tracer, DeformingObjectsAreBuiltWhenRaysAsk) {
+    const TestScene scene = instanced_scene();
+    std::vector<TracerObject> objects = scene.objects();
+    objects[0].deforms = true;
+    const auto eager = build_kdtree_tracer(scene.objects(), scene.instances, 1,
+                                           {.baked_triangles = 1000});  // of the others
+    const auto late = build_kdtree_tracer(objects, scene.instances, 2, {.baked_triangles = 1000});
+    EXPECT_EQ(late->bounds(), eager->bounds());
+    const std::size_t before = late->memory_bytes();
+    EXPECT_LT(before, eager->memory_bytes());
+    std::vector<Ray> rays;
+    RayMaker maker(scene, eager->bounds(), 17);
+    for (int i = 0; i < 2000; ++i) rays.push_back(maker.ray(i % RayMaker::kinds));
+    std::vector<Hit> expected(rays.size());
+    eager->closest_hits(rays, expected);
+    std::vector<std::vector<Hit>> hits(3, std::vector<Hit>(rays.size()));
+    {
+        std::vector<std::jthread> threads;
+        for (auto& of_thread : hits)
+            threads.emplace_back([&] { late->closest_hits(rays, of_thread); });
+    }
+    for (const auto& of_thread : hits) EXPECT_EQ(of_thread, expected);
+    EXPECT_GT(late->memory_bytes(), before);
 }
 
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.

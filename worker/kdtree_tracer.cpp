@@ -20,7 +20,7 @@ template <int width>
 class KdTreeTracer final : public Tracer {
 public:
     KdTreeTracer(std::span<const TracerObject> objects, std::span<const TracerInstance> instances,
-                 const KdTreeTracerConfig& config, Isa isa)
+                 int threads, const KdTreeTracerConfig& config, Isa isa)
         : kernels_(kernels<width>(isa)) {
         if (instances.size() == 1 && instances[0].world_from_object == mat4(1)) {
             scene_.single = true;
@@ -32,7 +32,7 @@ public:
             choose_baked(objects, instances,
                          config.baked_triangles.value_or(bakeable_triangles(objects, instances)));
         scene_.single = !baked.empty() && std::ranges::count(baked, 0) == 0;
-        build_objects(objects, instances, baked, config.builder);
+        build_objects(objects, instances, baked, threads, config.builder);
         if (!scene_.single) build_top(scene_, instances, baked);
     }
 
@@ -63,8 +63,9 @@ public:
         std::size_t bytes = heap_bytes(scene_.top.nodes) + heap_bytes(scene_.items) +
                             heap_bytes(scene_.instances) + heap_bytes(scene_.objects) +
                             scene_.names.memory_bytes();
-        for (const WideObject<width>& object : scene_.objects)
-            bytes += heap_bytes(object.tree.nodes) + heap_bytes(object.blocks);
+        for (const WideObject<width>& object : scene_.objects) bytes += object.memory_bytes();
+        for (const auto& late : scene_.late)
+            if (late) bytes += late->memory_bytes();
         return bytes;
     }
 
@@ -72,7 +73,7 @@ private:
     /// Those that unbaked instances use, and behind them what is baked; alone if that is all.
     void build_objects(std::span<const TracerObject> objects,
                        std::span<const TracerInstance> instances,
-                       std::span<const std::uint8_t> baked, TreeBuilder builder) {
+                       std::span<const std::uint8_t> baked, int threads, TreeBuilder builder) {
         std::vector<std::uint8_t> used(objects.size());
         for (std::size_t i = 0; i < instances.size(); ++i)
             if (!baked[i]) used[instances[i].object] = true;
@@ -81,10 +82,21 @@ private:
         tbb::parallel_for(std::size_t(0), shared + 1, [&](std::size_t i) {
             if (i == shared)
                 scene_.objects[i] = build_baked(bake(objects, instances, baked), builder);
+            else if (used[i] && objects[i].deforms)
+                scene_.objects[i].tree.bounds = bounds_of(objects[i]);
             else if (used[i])
                 scene_.objects[i] = build_object<width>(objects[i], builder);
         });
         if (scene_.single) scene_.single_id = baked_instance;
+        if (std::ranges::any_of(objects, &TracerObject::deforms)) delay(objects, used, threads);
+    }
+
+    void delay(std::span<const TracerObject> objects, std::span<const std::uint8_t> used,
+               int threads) {
+        scene_.late.resize(scene_.objects.size());
+        for (std::size_t i = 0; i < objects.size(); ++i)
+            if (used[i] && objects[i].deforms)
+                scene_.late[i] = std::make_unique<LateObject<width>>(objects[i], threads);
     }
 
     WideObject<width> build_baked(BakedMesh&& mesh, TreeBuilder builder) {
@@ -105,11 +117,11 @@ std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> object
     return tbb::task_arena(threads).execute([&]() -> std::unique_ptr<Tracer> {
         switch (width_of(isa)) {
             case 4:
-                return std::make_unique<KdTreeTracer<4>>(objects, instances, config, isa);
+                return std::make_unique<KdTreeTracer<4>>(objects, instances, threads, config, isa);
             case 8:
-                return std::make_unique<KdTreeTracer<8>>(objects, instances, config, isa);
+                return std::make_unique<KdTreeTracer<8>>(objects, instances, threads, config, isa);
             default:
-                return std::make_unique<KdTreeTracer<16>>(objects, instances, config, isa);
+                return std::make_unique<KdTreeTracer<16>>(objects, instances, threads, config, isa);
         }
     });
 }

@@ -346,7 +346,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectClosest(scene_, scene_.objects[instance.object], instance.id, instance.transform(),
+        ObjectClosest(scene_, scene_.object(instance.object), instance.id, instance.transform(),
                       origin_, rays_, alive_, best_)
             .run(groups);
     }

@@ -262,7 +262,7 @@ public:
             for (const std::uint32_t item : std::span(&scene_.items[leaf.first()], leaf.count())) {
                 const WideInstance& instance = scene_.instances[item];
                 const Affine* const transform = instance.transform();
-                trace(scene_.objects[instance.object],
+                trace(scene_.object(instance.object),
                       transform ? transformed(ray, *transform) : ray, instance.id);
                 if (any_hit && found()) break;
             }

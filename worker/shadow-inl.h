@@ -291,7 +291,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectShadows(scene_, scene_.objects[instance.object], instance.id, instance.transform(),
+        ObjectShadows(scene_, scene_.object(instance.object), instance.id, instance.transform(),
                       light_, rays_, alive_, cache_)
             .run(groups);
     }

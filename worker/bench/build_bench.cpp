@@ -135,7 +135,7 @@ Contest deforming_mesh(const BenchScene& scene, RTCBuildQuality quality, int thr
     Contest out = contest_of(scene, "object", peer, threads);
     const TracerObject object = scene.geometry.objects()[0];
     out.ours = with_width([&]<int width>(std::integral_constant<int, width>) {
-        return in_arena(threads, [object] { build_object<width>(object, TreeBuilder::bvh); });
+        return in_arena(threads, [object] { build_object<width>(object, TreeBuilder::quick); });
     });
     const auto embree = std::make_shared<EmbreeRebuild>(
         EmbreeRebuild::of_mesh(scene.geometry.meshes[0], quality, threads));
