@@ -77,11 +77,13 @@ private:
         std::vector<std::uint8_t> used(objects.size());
         for (std::size_t i = 0; i < instances.size(); ++i)
             if (!baked[i]) used[instances[i].object] = true;
+        BakedMesh mesh = bake(objects, instances, baked);
+        scene_.names = std::move(mesh.names);
         const std::size_t shared = scene_.single ? 0 : objects.size();
         scene_.objects.resize(shared + 1);
         tbb::parallel_for(std::size_t(0), shared + 1, [&](std::size_t i) {
             if (i == shared)
-                scene_.objects[i] = build_baked(bake(objects, instances, baked), builder);
+                scene_.objects[i] = build_object<width>({mesh.positions, mesh.triangles}, builder);
             else if (used[i] && objects[i].deforms)
                 scene_.objects[i].tree.bounds = bounds_of(objects[i]);
             else if (used[i])
@@ -97,11 +99,6 @@ private:
         for (std::size_t i = 0; i < objects.size(); ++i)
             if (used[i] && objects[i].deforms)
                 scene_.late[i] = std::make_unique<LateObject<width>>(objects[i], threads);
-    }
-
-    WideObject<width> build_baked(BakedMesh&& mesh, TreeBuilder builder) {
-        scene_.names = std::move(mesh.names);
-        return build_object<width>({mesh.positions, mesh.triangles}, builder);
     }
 
     WideScene<width> scene_;

@@ -83,13 +83,14 @@ public:
 
     /// Adds the lanes that are set in `met`; if ordered, the nearest of them on top.
     HWY_INLINE void push(const Node& node, Mask met, Float start) {
-        // Moving all at once costs less than branching over each.
-        const Float links = load(reinterpret_cast<const float*>(node.children));
-        hn::StoreU(compress(links, met), lanes_tag, links_ + top_);
-        if constexpr (ordered) hn::StoreU(compress(start, met), lanes_tag, starts_ + top_);
-        const int base = top_;
-        top_ += std::popcount(bits(met));
-        if constexpr (ordered) bring_nearest_up(base);
+        if constexpr (ordered) {
+            push_in_order(node, bits(met), start);
+        } else {
+            // Moving all at once costs less than branching over each.
+            const Float links = load(reinterpret_cast<const float*>(node.children));
+            hn::StoreU(compress(links, met), lanes_tag, links_ + top_);
+            top_ += std::popcount(bits(met));
+        }
     }
 
     /// Takes the next that starts at or before `t_last`; false when none is left.
@@ -104,17 +105,24 @@ public:
     }
 
 private:
-    HWY_INLINE void bring_nearest_up(int base) {
-        for (int i = base + 1; i < top_; ++i) {
-            const float start = starts_[i], link = links_[i];
-            int place = i;
-            for (; place != base && starts_[place - 1] < start; --place) {
-                starts_[place] = starts_[place - 1];
-                links_[place] = links_[place - 1];
-            }
-            starts_[place] = start;
-            links_[place] = link;
-        }
+    /// Each goes where the number of those that start later tells, which takes no branches.
+    HWY_INLINE void push_in_order(const Node& node, Bits met, Float start) {
+        // Keys that differ: of equal starts the lane decides.
+        constexpr hn::RebindToSigned<decltype(lanes_tag)> tag;
+        const auto keys =
+            hn::Or(hn::And(hn::BitCast(tag, start), hn::Set(tag, -W)), hn::Iota(tag, 0));
+        alignas(64) float starts[W];
+        alignas(64) std::int32_t key_of[W];
+        store(start, starts);
+        hn::Store(keys, tag, key_of);
+        for_each_bit(met, [&](int i) HWY_ATTR {
+            const Bits later =
+                met & bits(hn::RebindMask(lanes_tag, keys > hn::Set(tag, key_of[i])));
+            const int place = top_ + std::popcount(later);
+            starts_[place] = starts[i];
+            links_[place] = std::bit_cast<float>(node.children[i]);
+        });
+        top_ += std::popcount(met);
     }
 
     int top_ = 0;
