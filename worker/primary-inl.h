@@ -69,6 +69,18 @@ struct Closest {
         return true;
     }
 
+    /// Bounds the z of the closest hits of a group's rays; `z(k)` tells those of W directions.
+    template <class Z>
+    HWY_INLINE float reach(int g, Z&& z) const {
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W) {
+            const Float of_rays = load(t + g * group_size + k);
+            // Rays that there are not may have any z.
+            far = hn::IfThenElse(of_rays > splat(0), hn::Max(far, of_rays * z(k)), far);
+        }
+        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+    }
+
 private:
     bool precedes(const Hit& hit, int i) const {
         return scene.name_of(hit.instance, hit.triangle) < scene.name_of(instance[i], triangle[i]);
@@ -183,12 +195,8 @@ public:
           best_(best) {}
 
     void run(Bits groups) {
-        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
-            lanes(i, d);
-            return alive_.in_place(i);
-        };
-        for_each_shaft(
-            shaft_, org_, living, groups, reach_of(object_.tree.bounds, org_),
+        trace(
+            alive_, groups,
             [&](Bits carried) {
                 for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? reach(g) : 0;
                 walk(carried);
@@ -257,20 +265,10 @@ private:
 
     /// The groups of which not every ray passes outside one edge or has a closer hit.
     HWY_INLINE Bits groups_met(const Facets& f, int lane) const {
-        Float most = splat(infinity);
-        for (const auto& n : f.edges) {
-            const float x = n[0][lane], y = n[1][lane];
-            most = hn::Min(most, hn::MulAdd(splat(x), load(shaft_.slopes(0, x > 0)),
-                                            hn::MulAdd(splat(y), load(shaft_.slopes(1, y > 0)),
-                                                       splat(n[2][lane]))));
-        }
-        Mask met =
-            hn::And(most >= splat(-f.edge_slack[lane]), splat(f.nearest[lane]) <= load(far_));
-        for (int k = 0; k < 2; ++k) {
-            met = hn::And(met, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
-            met = hn::And(met, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
-        }
-        return bits(met);
+        const Passing p = passing(f, lane);
+        const Mask ahead =
+            hn::And(p.most >= splat(-f.edge_slack[lane]), splat(f.nearest[lane]) <= load(far_));
+        return bits(hn::And(p.overlap, ahead));
     }
 
     HWY_INLINE void test(const Block& block, int lane, const Facets& f, Bits groups) {
@@ -321,13 +319,7 @@ private:
     /// Bounds the z of the closest hits of a group's rays.
     float reach(int g) {
         const GroupRays& rays = group_rays(g);
-        Float far = splat(0);
-        for (int k = 0; k < group_size; k += W) {
-            const Float t = load(best_.t + g * group_size + k);
-            // Rays that there are not may have any z.
-            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * load(rays.z + k)), far);
-        }
-        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+        return best_.reach(g, [&](int k) HWY_ATTR { return load(rays.z + k); });
     }
 
     const Alive& alive_;
@@ -358,15 +350,11 @@ public:
     }
     /// Bounds the z of the closest hits of a group's rays.
     float reach(int g, const Shaft& shaft) const {
-        Float far = splat(0);
-        for (int k = 0; k < group_size; k += W) {
+        return best_.reach(g, [&](int k) HWY_ATTR {
             Float d[3];
             rays_.directions(g, k, nullptr, d);
-            const Float t = load(best_.t + g * group_size + k);
-            const Float z = splat(shaft.sign()) * d[shaft.axis(2)];
-            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * z), far);
-        }
-        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+            return splat(shaft.sign()) * d[shaft.axis(2)];
+        });
     }
 
 private:
