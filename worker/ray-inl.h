@@ -213,8 +213,9 @@ public:
                                 HWY_ATTR { return hn::NegMulAdd(splat(end), det, t_det); };
         const auto doubt = [&](float end)
                                HWY_ATTR { return error * (reach + splat(2 * std::abs(end))); };
-        const Mask within =
-            hn::And(beyond(tmin_) > doubt(tmin_), beyond(t_last) < hn::Neg(doubt(t_last)));
+        Mask within = beyond(tmin_) > doubt(tmin_);
+        // What has no end all hits lie before.
+        if (t_last < infinity) within = hn::And(within, beyond(t_last) < hn::Neg(doubt(t_last)));
         return {all_lanes & ~bits(hn::Or(beside, outside)), bits(hn::And(inside, within))};
     }
 
