@@ -6,11 +6,13 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <thread>
 
 #include "common/check.h"
 #include "common/generator.h"
 #include "common/scene_io.h"
 #include "worker/affine.h"
+#include "worker/bake.h"
 #include "worker/bench/judge.h"
 #include "worker/bench/tracer_scenes.h"
 #include "worker/kdtree_tracer.h"
@@ -19,26 +21,38 @@
 namespace tessera {
 namespace {
 
-/// Tests all triangles of all instances with the tracer's own arithmetic.
-Hit brute_force(const TestScene& scene, const Ray& world_ray) {
+/// Tests all triangles of all instances with the tracer's own arithmetic: the baked ones in the
+/// world, the others in their objects' space.
+Hit brute_force(const TestScene& scene, std::span<const std::uint8_t> baked, const Ray& world_ray) {
     Hit best;
     for (std::uint32_t i = 0; i < scene.instances.size(); ++i) {
         const TracerInstance& instance = scene.instances[i];
         const auto inverse = inverse_affine(instance.world_from_object);
         if (!inverse) continue;
-        const bool direct = scene.instances.size() == 1 && instance.world_from_object == mat4(1);
-        const TriangleRay ray(direct ? world_ray : transformed(world_ray, *inverse));
+        const TriangleRay ray(baked[i] ? world_ray : transformed(world_ray, *inverse));
         const Mesh& mesh = scene.meshes[instance.object];
+        const auto corner = [&](std::uint32_t v) {
+            const vec3& p = mesh.positions[v];
+            return baked[i] ? baked_position(instance.world_from_object, p) : p;
+        };
         for (std::uint32_t k = 0; k < mesh.triangles.size(); ++k) {
             const uvec3& v = mesh.triangles[k];
-            const Triangle triangle{mesh.positions[v.x], mesh.positions[v.y], mesh.positions[v.z],
-                                    k};
+            const Triangle triangle{corner(v.x), corner(v.y), corner(v.z), k};
             TriangleHit hit;
             if (!is_degenerate(triangle) && ray.hits(triangle, hit) && hit.t < best.t)
                 best = {hit.t, hit.u, hit.v, i, k};
         }
     }
     return best;
+}
+
+std::vector<std::uint8_t> usually_baked(const TestScene& scene) {
+    const std::vector<TracerObject> objects = scene.objects();
+    return choose_baked(objects, scene.instances, bakeable_triangles(objects, scene.instances));
+}
+
+Hit brute_force(const TestScene& scene, const Ray& ray) {
+    return brute_force(scene, usually_baked(scene), ray);
 }
 
 bool agree(const Hit& a, const Hit& b) {
@@ -90,13 +104,21 @@ Tally compare_with_embree(const TestScene& scene, int count) {
     return tally;
 }
 
-void expect_brute_force(const TestScene& scene, TreeBuilder builder, int rays) {
-    const auto tracer = build_kdtree_tracer(scene.objects(), scene.instances, 1, builder);
+void expect_brute_force(const TestScene& scene, const KdTreeTracerConfig& config, int rays) {
+    const std::vector<TracerObject> objects = scene.objects();
+    const auto tracer = build_kdtree_tracer(objects, scene.instances, 1, config);
+    // One untransformed instance is traced in the world however it is called.
+    const bool single =
+        scene.instances.size() == 1 && scene.instances[0].world_from_object == mat4(1);
+    const std::vector<std::uint8_t> baked =
+        config.baked_triangles && !single
+            ? choose_baked(objects, scene.instances, *config.baked_triangles)
+            : usually_baked(scene);
     RayMaker maker(scene, tracer->bounds(), 7);
     for (int kind = 0; kind < RayMaker::kinds; ++kind)
         for (int i = 0; i < rays; ++i) {
             const Ray ray = maker.ray(kind);
-            const Hit expected = brute_force(scene, ray);
+            const Hit expected = brute_force(scene, baked, ray);
             const Hit hit = tracer->closest_hit(ray);
             ASSERT_EQ(hit, expected)
                 << RayMaker::name(kind) << " ray " << i << ": t " << hit.t << " instance "
@@ -107,8 +129,38 @@ void expect_brute_force(const TestScene& scene, TreeBuilder builder, int rays) {
 }
 
 TEST_P(TracerTest, EqualsBruteForceBitForBit) {
-    expect_brute_force(GetParam(), TreeBuilder::bvh, 1500);
-    expect_brute_force(GetParam(), TreeBuilder::kdtree, 300);
+    expect_brute_force(GetParam(), {}, 1500);
+    expect_brute_force(GetParam(), {.builder = TreeBuilder::kdtree}, 300);
+    if (GetParam().instances.size() == 1) return;
+    // Nothing is baked; the object with the fewest triangles is.
+    expect_brute_force(GetParam(), {.baked_triangles = 0}, 1000);
+    expect_brute_force(GetParam(), {.baked_triangles = 1000}, 1000);
+}
+
+/// What deforms is built by whoever first looks at it, and answers as ever.
+TEST(Tracer, DeformingObjectsAreBuiltWhenRaysAsk) {
+    const TestScene scene = instanced_scene();
+    std::vector<TracerObject> objects = scene.objects();
+    objects[0].deforms = true;
+    const auto eager = build_kdtree_tracer(scene.objects(), scene.instances, 1,
+                                           {.baked_triangles = 1000});  // of the others
+    const auto late = build_kdtree_tracer(objects, scene.instances, 2, {.baked_triangles = 1000});
+    EXPECT_EQ(late->bounds(), eager->bounds());
+    const std::size_t before = late->memory_bytes();
+    EXPECT_LT(before, eager->memory_bytes());
+    std::vector<Ray> rays;
+    RayMaker maker(scene, eager->bounds(), 17);
+    for (int i = 0; i < 2000; ++i) rays.push_back(maker.ray(i % RayMaker::kinds));
+    std::vector<Hit> expected(rays.size());
+    eager->closest_hits(rays, expected);
+    std::vector<std::vector<Hit>> hits(3, std::vector<Hit>(rays.size()));
+    {
+        std::vector<std::jthread> threads;
+        for (auto& of_thread : hits)
+            threads.emplace_back([&] { late->closest_hits(rays, of_thread); });
+    }
+    for (const auto& of_thread : hits) EXPECT_EQ(of_thread, expected);
+    EXPECT_GT(late->memory_bytes(), before);
 }
 
 /// Points seen from one: a patch of a surface, as a tile sees it, or anywhere.
@@ -141,11 +193,12 @@ void move_onto_surfaces(const Tracer& tracer, const vec3& origin, float extent,
 }
 
 /// Our tracer on one instruction set; null where this machine does not have it.
-std::unique_ptr<Tracer> build_forced(const TestScene& scene, const char* isa) {
+std::unique_ptr<Tracer> build_forced(const TestScene& scene, const char* isa,
+                                     const KdTreeTracerConfig& config = {}) {
     ::setenv("TESSERA_SIMD", isa, 1);
     std::unique_ptr<Tracer> tracer;
     try {
-        tracer = build_tracer(TracerKind::kdtree, scene.objects(), scene.instances, 2);
+        tracer = build_kdtree_tracer(scene.objects(), scene.instances, 2, config);
     } catch (const UserError&) {
     }
     ::unsetenv("TESSERA_SIMD");
@@ -177,8 +230,9 @@ TEST(Tracer, RefusesInstructionSetsThatItDoesNotKnow) {
 }
 
 /// Each answer must be that of the single ray.
-void expect_packets_equal_rays(const TestScene& scene, const char* isa, int rounds) {
-    const auto tracer = build_forced(scene, isa);
+void expect_packets_equal_rays(const TestScene& scene, const char* isa, int rounds,
+                               const KdTreeTracerConfig& config = {}) {
+    const auto tracer = build_forced(scene, isa, config);
     if (!tracer) return;
     RayMaker maker(scene, tracer->bounds(), 5);
     Random random(6);
@@ -217,6 +271,9 @@ TEST_P(TracerTest, PacketsAnswerAsSingleRays) {
     for (const char* const isa : isas) {
         SCOPED_TRACE(isa);
         expect_packets_equal_rays(GetParam(), isa, 250);
+        if (GetParam().instances.size() == 1) continue;
+        for (const std::size_t most : {0, 1000})
+            expect_packets_equal_rays(GetParam(), isa, 250, {.baked_triangles = most});
     }
 }
 

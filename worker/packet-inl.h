@@ -115,9 +115,10 @@ void for_each_shaft(Shaft& shaft, const vec3& org, Lanes&& lanes, Bits wanted, f
 /// The rays of a chunk against one object, in the object's space.
 class ObjectRays {
 protected:
-    ObjectRays(const SceneObject& object, std::uint32_t instance, const Affine* object_from_world,
-               const vec3& origin, const PointRays& rays)
-        : object_(object),
+    ObjectRays(const Scene& scene, const SceneObject& object, std::uint32_t instance,
+               const Affine* object_from_world, const vec3& origin, const PointRays& rays)
+        : scene_(scene),
+          object_(object),
           instance_(instance),
           from_world_(object_from_world ? &object_from_world->linear : nullptr),
           org_(object_from_world ? object_from_world->point(origin) : origin),
@@ -128,7 +129,17 @@ protected:
     /// So narrow a shaft meets a box with all its groups or hardly at all.
     static constexpr float narrow = 1.0f / 4;
 
-    HWY_INLINE void lanes(int i, Float (&d)[3]) const { rays_.lanes(i, from_world_, d); }
+    /// Takes the rays of the groups that live, as for_each_shaft() does.
+    template <class Walk, class Singly>
+    void trace(const Alive& alive, Bits groups, Walk&& walk, Singly&& singly) {
+        const auto lanes = [&](int i, Float(&d)[3]) HWY_ATTR {
+            rays_.lanes(i, from_world_, d);
+            return alive.in_place(i);
+        };
+        for_each_shaft(shaft_, org_, lanes, groups & alive.groups,
+                       reach_of(object_.tree.bounds, org_), walk, singly);
+    }
+
     Ray ray(int g, int i, float tmax) const {
         return {org_, 0, rays_.direction(g, i, from_world_), tmax};
     }
@@ -189,6 +200,34 @@ protected:
         return reached;
     }
 
+    /// How the shaft's groups pass a triangle's edges.
+    struct Passing {
+        Float least, most;  ///< bounds of how far inside the edge that keeps out most
+        Mask overlap;       ///< of the slopes of rays and corners
+    };
+    HWY_INLINE Passing passing(const Facets& f, int lane) const {
+        Passing p{splat(infinity), splat(infinity), hn::FirstN(lanes_tag, W)};
+        for (const auto& n : f.edges) {
+            const float x = n[0][lane], y = n[1][lane];
+            const int right = x > 0, up = y > 0;
+            const Float z = splat(n[2][lane]);
+            const auto at = [&](int u, int v) HWY_ATTR {
+                return hn::MulAdd(splat(x), load(shaft_.slopes(0, u)),
+                                  hn::MulAdd(splat(y), load(shaft_.slopes(1, v)), z));
+            };
+            p.most = hn::Min(p.most, at(right, up));
+            p.least = hn::Min(p.least, at(1 - right, 1 - up));
+        }
+        for (int k = 0; k < 2; ++k) {
+            p.overlap =
+                hn::And(p.overlap, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
+            p.overlap =
+                hn::And(p.overlap, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
+        }
+        return p;
+    }
+
+    const Scene& scene_;
     const SceneObject& object_;
     std::uint32_t instance_;
     const mat3* from_world_;

@@ -18,13 +18,14 @@ namespace HWY_NAMESPACE {
 
 /// The closest hits of a chunk's rays so far, group by group.
 struct Closest {
+    const Scene& scene;
     alignas(64) float t[chunk_size];  ///< zero for rays that there are not
     alignas(64) float u[chunk_size] = {};
     alignas(64) float v[chunk_size] = {};
     alignas(64) std::uint32_t instance[chunk_size];
     alignas(64) std::uint32_t triangle[chunk_size] = {};
 
-    explicit Closest(const Alive& alive) {
+    Closest(const Scene& of_scene, const Alive& alive) : scene(of_scene) {
         std::fill_n(instance, chunk_size, no_instance);
         std::fill_n(t, chunk_size, infinity);
         for (int g = 0; g < W; ++g)
@@ -32,7 +33,7 @@ struct Closest {
     }
     Hit hit(int i) const {
         const bool found = instance[i] != no_instance;
-        return {found ? t[i] : infinity, u[i], v[i], instance[i], triangle[i]};
+        return named(scene, {found ? t[i] : infinity, u[i], v[i], instance[i], triangle[i]});
     }
     /// Takes the hit if it is closer, or as close and of lower ids.
     bool take(int i, const Hit& hit) {
@@ -68,9 +69,21 @@ struct Closest {
         return true;
     }
 
+    /// Bounds the z of the closest hits of a group's rays; `z(k)` tells those of W directions.
+    template <class Z>
+    HWY_INLINE float reach(int g, Z&& z) const {
+        Float far = splat(0);
+        for (int k = 0; k < group_size; k += W) {
+            const Float of_rays = load(t + g * group_size + k);
+            // Rays that there are not may have any z.
+            far = hn::IfThenElse(of_rays > splat(0), hn::Max(far, of_rays * z(k)), far);
+        }
+        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+    }
+
 private:
     bool precedes(const Hit& hit, int i) const {
-        return std::pair(hit.instance, hit.triangle) < std::pair(instance[i], triangle[i]);
+        return scene.name_of(hit.instance, hit.triangle) < scene.name_of(instance[i], triangle[i]);
     }
 };
 
@@ -174,20 +187,16 @@ private:
 /// The closest hits of a chunk of rays in one object.
 class ObjectClosest : ObjectRays {
 public:
-    ObjectClosest(const SceneObject& object, std::uint32_t instance,
+    ObjectClosest(const Scene& scene, const SceneObject& object, std::uint32_t instance,
                   const Affine* object_from_world, const vec3& origin, const PointRays& rays,
                   const Alive& alive, Closest& best)
-        : ObjectRays(object, instance, object_from_world, origin, rays),
+        : ObjectRays(scene, object, instance, object_from_world, origin, rays),
           alive_(alive),
           best_(best) {}
 
     void run(Bits groups) {
-        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
-            lanes(i, d);
-            return alive_.in_place(i);
-        };
-        for_each_shaft(
-            shaft_, org_, living, groups, reach_of(object_.tree.bounds, org_),
+        trace(
+            alive_, groups,
             [&](Bits carried) {
                 for (int g = 0; g < W; ++g) far_[g] = carried >> g & 1 ? reach(g) : 0;
                 walk(carried);
@@ -235,7 +244,7 @@ private:
         for_each_bit(rays, [&](int i) {
             const Ray ray = this->ray(g, i, infinity);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
-            Query<false> query;
+            Query<false> query(scene_);
             query.trace(object_, ray, instance_);
             if (query.found()) best_.take(g * group_size + i, query.result());
         });
@@ -256,20 +265,10 @@ private:
 
     /// The groups of which not every ray passes outside one edge or has a closer hit.
     HWY_INLINE Bits groups_met(const Facets& f, int lane) const {
-        Float most = splat(infinity);
-        for (const auto& n : f.edges) {
-            const float x = n[0][lane], y = n[1][lane];
-            most = hn::Min(most, hn::MulAdd(splat(x), load(shaft_.slopes(0, x > 0)),
-                                            hn::MulAdd(splat(y), load(shaft_.slopes(1, y > 0)),
-                                                       splat(n[2][lane]))));
-        }
-        Mask met =
-            hn::And(most >= splat(-f.edge_slack[lane]), splat(f.nearest[lane]) <= load(far_));
-        for (int k = 0; k < 2; ++k) {
-            met = hn::And(met, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
-            met = hn::And(met, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
-        }
-        return bits(met);
+        const Passing p = passing(f, lane);
+        const Mask ahead =
+            hn::And(p.most >= splat(-f.edge_slack[lane]), splat(f.nearest[lane]) <= load(far_));
+        return bits(hn::And(p.overlap, ahead));
     }
 
     HWY_INLINE void test(const Block& block, int lane, const Facets& f, Bits groups) {
@@ -320,13 +319,7 @@ private:
     /// Bounds the z of the closest hits of a group's rays.
     float reach(int g) {
         const GroupRays& rays = group_rays(g);
-        Float far = splat(0);
-        for (int k = 0; k < group_size; k += W) {
-            const Float t = load(best_.t + g * group_size + k);
-            // Rays that there are not may have any z.
-            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * load(rays.z + k)), far);
-        }
-        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+        return best_.reach(g, [&](int k) HWY_ATTR { return load(rays.z + k); });
     }
 
     const Alive& alive_;
@@ -345,7 +338,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectClosest(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+        ObjectClosest(scene_, scene_.object(instance.object), instance.id, instance.transform(),
                       origin_, rays_, alive_, best_)
             .run(groups);
     }
@@ -357,15 +350,11 @@ public:
     }
     /// Bounds the z of the closest hits of a group's rays.
     float reach(int g, const Shaft& shaft) const {
-        Float far = splat(0);
-        for (int k = 0; k < group_size; k += W) {
+        return best_.reach(g, [&](int k) HWY_ATTR {
             Float d[3];
             rays_.directions(g, k, nullptr, d);
-            const Float t = load(best_.t + g * group_size + k);
-            const Float z = splat(shaft.sign()) * d[shaft.axis(2)];
-            far = hn::IfThenElse(t > splat(0), hn::Max(far, t * z), far);
-        }
-        return hn::GetLane(hn::MaxOfLanes(lanes_tag, far)) * (1 + 0x1p-20f);
+            return splat(shaft.sign()) * d[shaft.axis(2)];
+        });
     }
 
 private:
@@ -386,9 +375,10 @@ void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> 
         RayMask all;
         all.fill(all_rays);
         const Alive alive(all, targets, 0);
-        Closest best(alive);
+        Closest best(scene, alive);
         if (scene.single) {
-            ObjectClosest(scene.objects[0], 0, nullptr, origin, rays, alive, best)
+            ObjectClosest(scene, scene.objects[0], scene.single_id, nullptr, origin, rays, alive,
+                          best)
                 .run(alive.groups);
         } else {
             InstanceClosest query(scene, origin, rays, alive, best);

@@ -83,13 +83,14 @@ public:
 
     /// Adds the lanes that are set in `met`; if ordered, the nearest of them on top.
     HWY_INLINE void push(const Node& node, Mask met, Float start) {
-        // Moving all at once costs less than branching over each.
-        const Float links = load(reinterpret_cast<const float*>(node.children));
-        hn::StoreU(compress(links, met), lanes_tag, links_ + top_);
-        if constexpr (ordered) hn::StoreU(compress(start, met), lanes_tag, starts_ + top_);
-        const int base = top_;
-        top_ += std::popcount(bits(met));
-        if constexpr (ordered) bring_nearest_up(base);
+        if constexpr (ordered) {
+            push_in_order(node, bits(met), start);
+        } else {
+            // Moving all at once costs less than branching over each.
+            const Float links = load(reinterpret_cast<const float*>(node.children));
+            hn::StoreU(compress(links, met), lanes_tag, links_ + top_);
+            top_ += std::popcount(bits(met));
+        }
     }
 
     /// Takes the next that starts at or before `t_last`; false when none is left.
@@ -104,17 +105,24 @@ public:
     }
 
 private:
-    HWY_INLINE void bring_nearest_up(int base) {
-        for (int i = base + 1; i < top_; ++i) {
-            const float start = starts_[i], link = links_[i];
-            int place = i;
-            for (; place != base && starts_[place - 1] < start; --place) {
-                starts_[place] = starts_[place - 1];
-                links_[place] = links_[place - 1];
-            }
-            starts_[place] = start;
-            links_[place] = link;
-        }
+    /// Each goes where the number of those that start later tells, which takes no branches.
+    HWY_INLINE void push_in_order(const Node& node, Bits met, Float start) {
+        // Keys that differ: of equal starts the lane decides.
+        constexpr hn::RebindToSigned<decltype(lanes_tag)> tag;
+        const auto keys =
+            hn::Or(hn::And(hn::BitCast(tag, start), hn::Set(tag, -W)), hn::Iota(tag, 0));
+        alignas(64) float starts[W];
+        alignas(64) std::int32_t key_of[W];
+        store(start, starts);
+        hn::Store(keys, tag, key_of);
+        for_each_bit(met, [&](int i) HWY_ATTR {
+            const Bits later =
+                met & bits(hn::RebindMask(lanes_tag, keys > hn::Set(tag, key_of[i])));
+            const int place = top_ + std::popcount(later);
+            starts_[place] = starts[i];
+            links_[place] = std::bit_cast<float>(node.children[i]);
+        });
+        top_ += std::popcount(met);
     }
 
     int top_ = 0;
@@ -205,8 +213,9 @@ public:
                                 HWY_ATTR { return hn::NegMulAdd(splat(end), det, t_det); };
         const auto doubt = [&](float end)
                                HWY_ATTR { return error * (reach + splat(2 * std::abs(end))); };
-        const Mask within =
-            hn::And(beyond(tmin_) > doubt(tmin_), beyond(t_last) < hn::Neg(doubt(t_last)));
+        Mask within = beyond(tmin_) > doubt(tmin_);
+        // What has no end all hits lie before.
+        if (t_last < infinity) within = hn::And(within, beyond(t_last) < hn::Neg(doubt(t_last)));
         return {all_lanes & ~bits(hn::Or(beside, outside)), bits(hn::And(inside, within))};
     }
 
@@ -232,7 +241,7 @@ template <bool any_hit>
 class Query {
 public:
     /// `tmax` is that of the rays to be traced.
-    explicit Query(float tmax = infinity) { hit_.t = tmax; }
+    explicit Query(const Scene& scene, float tmax = infinity) : scene_(scene) { hit_.t = tmax; }
 
     /// Traces through an object's tree, or the part of it at `from`; `ray` is in the object's
     /// space.
@@ -257,21 +266,22 @@ public:
     }
 
     /// Traces through all instances.
-    void trace(const Scene& scene, const Ray& ray) {
+    void trace(const Ray& ray) {
         const auto visit = [&](WideLink leaf) HWY_ATTR {
-            for (const std::uint32_t item : std::span(&scene.items[leaf.first()], leaf.count())) {
-                const WideInstance& instance = scene.instances[item];
-                trace(scene.objects[instance.object], transformed(ray, instance.object_from_world),
-                      instance.id);
+            for (const std::uint32_t item : std::span(&scene_.items[leaf.first()], leaf.count())) {
+                const WideInstance& instance = scene_.instances[item];
+                const Affine* const transform = instance.transform();
+                trace(scene_.object(instance.object),
+                      transform ? transformed(ray, *transform) : ray, instance.id);
                 if (any_hit && found()) break;
             }
             return last_t();
         };
-        traverse<!any_hit>(scene.top, BoxRay(ray), hit_.t, WideLink::node(0), visit);
+        traverse<!any_hit>(scene_.top, BoxRay(ray), hit_.t, WideLink::node(0), visit);
     }
 
     bool found() const { return hit_.valid(); }
-    /// Of any hit, only whether there is one.
+    /// By the scene's own names. Of any hit, only whether there is one.
     Hit result() const { return found() ? hit_ : Hit{}; }
 
 private:
@@ -293,24 +303,33 @@ private:
 
     void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
         const auto precedes = [&] {
-            return std::pair(instance, triangle) < std::pair(hit_.instance, hit_.triangle);
+            return scene_.name_of(instance, triangle) <
+                   scene_.name_of(hit_.instance, hit_.triangle);
         };
         if (found.t < hit_.t || (found.t == hit_.t && hit_.valid() && precedes()))
             hit_ = {found.t, found.u, found.v, instance, triangle};
     }
 
+    const Scene& scene_;
     Hit hit_;
 };
 
+/// The hit by the scene's own names.
 template <bool any_hit>
 Hit trace(const Scene& scene, const Ray& ray) {
     if (!is_sound(ray)) return {};
-    Query<any_hit> query(ray.tmax);
+    Query<any_hit> query(scene, ray.tmax);
     if (scene.single)
-        query.trace(scene.objects[0], ray, 0);
+        query.trace(scene.objects[0], ray, scene.single_id);
     else
-        query.trace(scene, ray);
+        query.trace(ray);
     return query.result();
+}
+
+/// A hit as the caller knows it.
+Hit named(const Scene& scene, const Hit& hit) {
+    const auto [instance, triangle] = scene.name_of(hit.instance, hit.triangle);
+    return {hit.t, hit.u, hit.v, instance, triangle};
 }
 
 /// Tells which rays an object blocks, some rays at a time and all of these by one step in turn:
@@ -427,7 +446,8 @@ private:
 };
 
 void closest_hits(const Scene& scene, std::span<const Ray> rays, std::span<Hit> hits) {
-    for (std::size_t i = 0; i < rays.size(); ++i) hits[i] = trace<false>(scene, rays[i]);
+    for (std::size_t i = 0; i < rays.size(); ++i)
+        hits[i] = named(scene, trace<false>(scene, rays[i]));
 }
 
 void occluded(const Scene& scene, std::span<const Ray> rays, std::span<std::uint8_t> blocked) {

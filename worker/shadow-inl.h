@@ -24,20 +24,16 @@ namespace HWY_NAMESPACE {
 /// The shadow rays of a chunk against one object, in the object's space.
 class ObjectShadows : ObjectRays {
 public:
-    ObjectShadows(const SceneObject& object, std::uint32_t instance,
+    ObjectShadows(const Scene& scene, const SceneObject& object, std::uint32_t instance,
                   const Affine* object_from_world, const vec3& light, const PointRays& rays,
                   Alive& alive, OccluderCache* cache)
-        : ObjectRays(object, instance, object_from_world, light, rays),
+        : ObjectRays(scene, object, instance, object_from_world, light, rays),
           alive_(alive),
           cache_(cache) {}
 
     void run(Bits groups) {
-        const auto living = [&](int i, Float(&d)[3]) HWY_ATTR {
-            lanes(i, d);
-            return alive_.in_place(i);
-        };
-        for_each_shaft(
-            shaft_, org_, living, groups & alive_.groups, reach_of(object_.tree.bounds, org_),
+        trace(
+            alive_, groups,
             [&](Bits carried) {
                 ask_cache(carried);
                 walk(carried);
@@ -132,7 +128,7 @@ private:
 
     void trace_singly(int g, Bits rays, WideLink from) {
         for_each_bit(rays, [&](int i) {
-            Query<true> query(1);
+            Query<true> query(scene_, 1);
             const Ray ray = this->ray(g, i, 1);
             if (!is_finite(ray.org) || !is_finite(ray.dir)) return;
             query.trace(object_, ray, instance_, from);
@@ -179,23 +175,7 @@ private:
     };
     /// How the groups that the shaft holds meet a triangle.
     HWY_INLINE Met groups_met(const Facets& f, int lane) const {
-        Float most = splat(infinity), least = most;
-        for (const auto& n : f.edges) {
-            const float x = n[0][lane], y = n[1][lane];
-            const int right = x > 0, up = y > 0;
-            const Float z = splat(n[2][lane]);
-            const auto at = [&](int u, int v) HWY_ATTR {
-                return hn::MulAdd(splat(x), load(shaft_.slopes(0, u)),
-                                  hn::MulAdd(splat(y), load(shaft_.slopes(1, v)), z));
-            };
-            most = hn::Min(most, at(right, up));
-            least = hn::Min(least, at(1 - right, 1 - up));
-        }
-        Mask overlap = hn::FirstN(lanes_tag, W);
-        for (int k = 0; k < 2; ++k) {
-            overlap = hn::And(overlap, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
-            overlap = hn::And(overlap, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
-        }
+        const Passing p = passing(f, lane);
         Float farthest = hn::Zero(lanes_tag), nearest = farthest;
         for (int k = 0; k < 3; ++k) {
             const float n = f.plane[k][lane];
@@ -204,9 +184,9 @@ private:
             nearest = hn::MulAdd(splat(n), load(shaft_.group_ends(k, 1 - away)), nearest);
         }
         const float slack = f.edge_slack[lane];
-        const Mask crosses = hn::And(most >= splat(-slack), farthest >= splat(f.before[lane]));
-        return {bits(hn::And(overlap, crosses)),
-                bits(hn::And(least > splat(slack), nearest > splat(f.beyond[lane])))};
+        const Mask crosses = hn::And(p.most >= splat(-slack), farthest >= splat(f.before[lane]));
+        return {bits(hn::And(p.overlap, crosses)),
+                bits(hn::And(p.least > splat(slack), nearest > splat(f.beyond[lane])))};
     }
 
     /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
@@ -291,7 +271,7 @@ public:
 
     Bits open() const { return alive_.groups; }
     void visit(const WideInstance& instance, Bits groups) {
-        ObjectShadows(scene_.objects[instance.object], instance.id, &instance.object_from_world,
+        ObjectShadows(scene_, scene_.object(instance.object), instance.id, instance.transform(),
                       light_, rays_, alive_, cache_)
             .run(groups);
     }
@@ -320,7 +300,8 @@ RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targ
         Alive alive = asked;
         const PointRays rays(light, targets, first);
         if (scene.single) {
-            ObjectShadows(scene.objects[0], 0, nullptr, light, rays, alive, cache)
+            ObjectShadows(scene, scene.objects[0], scene.single_id, nullptr, light, rays, alive,
+                          cache)
                 .run(alive.groups);
         } else {
             InstanceShadows query(scene, light, rays, alive, cache);

@@ -33,11 +33,13 @@ struct Hit {
 struct TracerObject {
     std::span<const vec3> positions;
     std::span<const uvec3> triangles;
+    bool deforms = false;  ///< changes often: built fast, and only when a ray asks
 };
 
 struct TracerInstance {
     std::uint32_t object = 0;
     mat4 world_from_object{1};
+    bool moves = false;  ///< often: costs less to build anew, and rays more
 };
 
 /// Where rays from one origin were lately blocked. Speeds `Tracer::occluded_from` up and never

@@ -1,6 +1,8 @@
 #include "worker/wide_scene.h"
 
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_reduce.h>
+#include <tbb/task_arena.h>
 
 #include <array>
 #include <atomic>
@@ -87,12 +89,39 @@ WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
 
 }  // namespace
 
+Box bounds_of(const TracerObject& object) {
+    return tbb::parallel_reduce(
+        tbb::blocked_range<std::uint32_t>(0, std::uint32_t(object.triangles.size())), Box(),
+        [&](const auto& part, Box box) {
+            for (std::uint32_t i = part.begin(); i < part.end(); ++i) {
+                const Triangle t = triangle_of(object, i);
+                if (is_degenerate(t)) continue;
+                for (const vec3& p : {t.a, t.b, t.c}) box.add(p);
+            }
+            return box;
+        },
+        [](Box a, const Box& b) {
+            a.add(b);
+            return a;
+        });
+}
+
+template <int width>
+void LateObject<width>::build() {
+    std::call_once(once_, [&] {
+        object_ = tbb::task_arena(threads_).execute(
+            [&] { return build_object<width>(source_, TreeBuilder::quick); });
+        built_.store(true, std::memory_order_release);
+    });
+}
+
 template <int width>
 WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) {
+    const std::uint32_t leaf_size = builder == TreeBuilder::quick ? width : width / 2;
     const BoxTree tree =
-        builder == TreeBuilder::bvh
-            ? build_bvh(triangle_refs(object), {.block_size = width, .leaf_size = width / 2})
-            : kd_boxes(object, width);
+        builder == TreeBuilder::kdtree
+            ? kd_boxes(object, width)
+            : build_bvh(triangle_refs(object), {.block_size = width, .leaf_size = leaf_size});
     WideObject<width> out;
     constexpr std::uint32_t none = ~0u;
     std::vector<std::uint32_t> lanes;  // of all blocks
@@ -117,22 +146,30 @@ WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) 
 }
 
 template <int width>
-void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances) {
+void build_top(WideScene<width>& scene, std::span<const TracerInstance> instances,
+               std::span<const std::uint8_t> baked) {
     constexpr std::uint32_t none = ~0u;
     constexpr std::size_t task_instances = 128;
     RawVector<BoxRef> refs(instances.size());
     scene.instances.resize(instances.size());
     const auto place = [&](std::size_t i) {
-        const auto& [object, world_from_object] = instances[i];
+        const auto& [object, world_from_object, moves] = instances[i];
         const auto inverse = inverse_affine(world_from_object);
         const Box box = instance_bounds(scene.objects[object].tree.bounds, world_from_object);
-        refs[i] = finite(box, inverse && !box.empty() ? 0 : none);
+        const bool is_baked = !baked.empty() && baked[i];
+        refs[i] = finite(box, inverse && !box.empty() && !is_baked ? 0 : none);
         if (inverse) scene.instances[i] = {object, std::uint32_t(i), *inverse};
     };
     tbb::parallel_for(tbb::blocked_range<std::size_t>(0, refs.size(), task_instances),
                       [&](const auto& part) {
                           for (std::size_t i = part.begin(); i < part.end(); ++i) place(i);
                       });
+
+    const Box& of_baked = scene.objects.empty() ? Box() : scene.objects.back().tree.bounds;
+    if (!baked.empty() && !of_baked.empty()) {
+        refs.push_back(finite(of_baked, 0));
+        scene.instances.push_back({std::uint32_t(scene.objects.size() - 1), baked_instance, {}});
+    }
 
     // Those that can be hit move up.
     std::uint32_t count = 0;
@@ -150,11 +187,17 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
     std::iota(scene.items.begin(), scene.items.end(), 0u);
 }
 
+template class LateObject<4>;
+template class LateObject<8>;
+template class LateObject<16>;
 template WideObject<4> build_object(const TracerObject&, TreeBuilder);
 template WideObject<8> build_object(const TracerObject&, TreeBuilder);
 template WideObject<16> build_object(const TracerObject&, TreeBuilder);
-template void build_top(WideScene<4>&, std::span<const TracerInstance>);
-template void build_top(WideScene<8>&, std::span<const TracerInstance>);
-template void build_top(WideScene<16>&, std::span<const TracerInstance>);
+template void build_top(WideScene<4>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
+template void build_top(WideScene<8>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
+template void build_top(WideScene<16>&, std::span<const TracerInstance>,
+                        std::span<const std::uint8_t>);
 
 }  // namespace tessera

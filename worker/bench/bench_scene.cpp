@@ -12,7 +12,8 @@ std::size_t BenchScene::triangles() const {
 }
 
 std::unique_ptr<Tracer> BenchScene::build_ours(int threads, TreeBuilder builder) const {
-    return build_kdtree_tracer(geometry.objects(), geometry.instances, threads, builder);
+    return build_kdtree_tracer(geometry.objects(), geometry.instances, threads,
+                               {.builder = builder});
 }
 
 std::unique_ptr<EmbreeScene> BenchScene::build_embree(int threads) const {

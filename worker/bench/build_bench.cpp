@@ -135,7 +135,7 @@ Contest deforming_mesh(const BenchScene& scene, RTCBuildQuality quality, int thr
     Contest out = contest_of(scene, "object", peer, threads);
     const TracerObject object = scene.geometry.objects()[0];
     out.ours = with_width([&]<int width>(std::integral_constant<int, width>) {
-        return in_arena(threads, [object] { build_object<width>(object, TreeBuilder::bvh); });
+        return in_arena(threads, [object] { build_object<width>(object, TreeBuilder::quick); });
     });
     const auto embree = std::make_shared<EmbreeRebuild>(
         EmbreeRebuild::of_mesh(scene.geometry.meshes[0], quality, threads));
@@ -151,8 +151,8 @@ Contest top_level(const BenchScene& scene, int threads) {
         const auto built = std::make_shared<WideScene<width>>();
         for (const TracerObject& object : geometry.objects())
             built->objects.push_back(build_object<width>(object, TreeBuilder::bvh));
-        return in_arena(threads,
-                        [built, &geometry] { build_top(*built, std::span(geometry.instances)); });
+        return in_arena(
+            threads, [built, &geometry] { build_top(*built, std::span(geometry.instances), {}); });
     });
     const auto embree =
         std::make_shared<EmbreeRebuild>(EmbreeRebuild::of_instances(geometry, threads));
