@@ -154,10 +154,10 @@ TEST(Sampling, DistributionChoosesByWeight) {
 TEST(Sampling, BsdfFollowsItsDensity) {
     const vec3 n = normalize(vec3(0.3f, -0.5f, 0.8f));
     const vec3 wo = normalize(vec3(0.1f, 0.2f, 0.9f));
-    const Bsdf bsdf = make_bsdf(vec3(0.7f), 0, 1);
+    const Bsdf bsdf = make_bsdf({.base_color = vec3(0.7f)}, 1);
     expect_directions(
         [&](auto& r) -> std::optional<vec3> {
-            const auto s = sample(bsdf, n, wo, r.next_2d());
+            const auto s = sample(bsdf, n, wo, r.next(), r.next_2d());
             if (!s) return {};
             EXPECT_NEAR(s->pdf, pdf(bsdf, n, wo, s->wi), 1e-4f);
             const vec3 weight = eval(bsdf, n, wo, s->wi) * dot(n, s->wi) / s->pdf;

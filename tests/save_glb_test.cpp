@@ -120,6 +120,11 @@ TEST(SaveGlb, everything_a_scene_holds_comes_back) {
                  .base_color_map = {.texture = colours, .offset = {0.1f, 0.2f}, .rotation = 0.7f},
                  .metallic = 0.6f,
                  .metallic_roughness_map = {.texture = data, .scale = {2, 3}},
+                 .specular = 0.7f,
+                 .ior = 1.3f,
+                 .transmission = 0.4f,
+                 .transmission_map = {.texture = data},
+                 .thin_walled = true,
                  .emission = {17.3f, 0.01f, 4},
                  .emission_map = {.texture = colours},
                  .two_sided_emission = true});

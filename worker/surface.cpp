@@ -143,6 +143,30 @@ vec3 Surfaces::mean_emission(const Material& m) const {
                                       : m.emission * texture_means_[m.emission_map.texture];
 }
 
+SurfaceLook Surfaces::look(const Material& m, const vec2& uv) const {
+    SurfaceLook look{.base_color = m.base_color * vec3(color(m.base_color_map, uv)),
+                     .metallic = m.metallic,
+                     .roughness = m.roughness,
+                     .specular = m.specular,
+                     .ior = m.ior,
+                     .transmission = m.transmission,
+                     .thin_walled = m.thin_walled};
+    if (m.metallic_roughness_map.texture >= 0) {
+        const vec4 texel = color(m.metallic_roughness_map, uv);
+        look.metallic *= texel.b;
+        look.roughness *= texel.g;
+    }
+    if (m.transmission_map.texture >= 0) look.transmission *= color(m.transmission_map, uv).r;
+    return look;
+}
+
+bool Surfaces::has_rest(const Material& m) const {
+    const bool glossy = m.metallic > 0 || m.specular > 0;
+    const bool mapped = m.metallic_roughness_map.texture >= 0;
+    return m.transmission > 0 ||
+           (glossy && (mapped || m.roughness * m.roughness < Bsdf::narrow_alpha));
+}
+
 SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     const Mesh& mesh = mesh_of(hit.instance);
     const uvec3 corners = mesh.triangles[hit.triangle];
@@ -169,13 +193,7 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     }
 
     const vec2 uv = texcoord(mesh, corners, b);
-    vec2 metal_rough(m.metallic, m.roughness);
-    if (m.metallic_roughness_map.texture >= 0) {
-        const vec4 texel = color(m.metallic_roughness_map, uv);
-        metal_rough *= vec2(texel.b, texel.g);
-    }
-    s.bsdf =
-        make_bsdf(m.base_color * vec3(color(m.base_color_map, uv)), metal_rough.x, metal_rough.y);
+    s.bsdf = make_bsdf(look(m, uv), dot(s.n, s.wo), front);
     if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
     return s;
 }

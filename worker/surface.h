@@ -18,6 +18,9 @@ struct SurfacePoint {
     vec3 wo{0};        ///< towards the viewer, unit
     vec3 emission{0};  ///< radiance towards the viewer
     Bsdf bsdf;
+
+    /// Where a ray in direction `dir` leaves: beside the surface, or behind it.
+    vec3 leave(const vec3& dir) const { return dot(dir, ng) > 0 ? org : 2.0f * p - org; }
 };
 
 /// A triangle in world space; `ng` is the unit normal of its front (counter-clockwise in its mesh,
@@ -62,12 +65,16 @@ public:
     /// Mean radiance over the whole emission texture; an upper bound's stand-in for choosing.
     vec3 mean_emission(const Material& material) const;
 
+    /// Whether the material can have lobes that are not broad.
+    bool has_rest(const Material& material) const;
+
     const Scene& scene() const { return scene_; }
 
 private:
     const Mesh& mesh_of(std::uint32_t instance) const;
     vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
     vec4 color(const TextureMap& map, const vec2& uv) const;
+    SurfaceLook look(const Material& material, const vec2& uv) const;
 
     Scene scene_;
     std::vector<Mesh> meshes_;
