@@ -183,10 +183,21 @@ private:
         const double ior = number(extension(m.extensions, "KHR_materials_ior"), "ior", 1.5);
         out.ior = ior == 0 ? 1e4f : float(std::max(ior, 1.0));
         read_transmission(m, out);
+        read_alpha(m, out);
+        out.normal_map = map(plain_info(m.normalTexture), false);
+        out.normal_scale = float(m.normalTexture.scale);
         out.emission = colour(m.emissiveFactor, vec3(0)) * float(strength);
         out.emission_map = map(m.emissiveTexture, true);
         out.two_sided_emission = m.doubleSided;
         return out;
+    }
+
+    static void read_alpha(const tinygltf::Material& m, Material& out) {
+        if (m.alphaMode == "MASK") out.alpha_mode = AlphaMode::mask;
+        if (m.alphaMode == "BLEND") out.alpha_mode = AlphaMode::blend;
+        const auto& factor = m.pbrMetallicRoughness.baseColorFactor;
+        if (out.alpha_mode != AlphaMode::opaque && factor.size() == 4) out.alpha = float(factor[3]);
+        out.alpha_cutoff = float(m.alphaCutoff);
     }
 
     /// Without a thickness the surface is a pane (KHR_materials_volume).
@@ -198,6 +209,14 @@ private:
             !(number(extension(m.extensions, "KHR_materials_volume"), "thicknessFactor", 0) > 0);
         if (const Value* texture = member(*transmission, "transmissionTexture"))
             out.transmission_map = map(texture_info(*texture), false);
+    }
+
+    static tinygltf::TextureInfo plain_info(const tinygltf::NormalTextureInfo& normal) {
+        tinygltf::TextureInfo info;
+        info.index = normal.index;
+        info.texCoord = normal.texCoord;
+        info.extensions = normal.extensions;
+        return info;
     }
 
     /// A texture that an extension names.
@@ -215,8 +234,6 @@ private:
         static const std::set<std::string> modelled_extensions{
             "KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_specular",
             "KHR_materials_transmission", "KHR_materials_volume"};
-        if (m.alphaMode != "OPAQUE") unmodelled("alpha (surfaces are opaque)");
-        if (m.normalTexture.index >= 0) unmodelled("normal maps");
         if (m.occlusionTexture.index >= 0) unmodelled("occlusion maps");
         for (const auto& [name, value] : m.extensions)
             if (!modelled_extensions.contains(name)) unmodelled(name);
@@ -351,7 +368,8 @@ private:
     static std::vector<tinygltf::TextureInfo> textures_of(const tinygltf::Material& m) {
         std::vector<tinygltf::TextureInfo> all{m.pbrMetallicRoughness.baseColorTexture,
                                                m.emissiveTexture,
-                                               m.pbrMetallicRoughness.metallicRoughnessTexture};
+                                               m.pbrMetallicRoughness.metallicRoughnessTexture,
+                                               plain_info(m.normalTexture)};
         const Value* transmission = extension(m.extensions, "KHR_materials_transmission");
         const Value* map = transmission ? member(*transmission, "transmissionTexture") : nullptr;
         if (map != nullptr) all.push_back(texture_info(*map));

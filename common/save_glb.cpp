@@ -180,7 +180,7 @@ private:
     }
 
     void add_material(const Material& m) {
-        Json pbr{{"baseColorFactor", {m.base_color.x, m.base_color.y, m.base_color.z, 1}},
+        Json pbr{{"baseColorFactor", {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha}},
                  {"metallicFactor", m.metallic},
                  {"roughnessFactor", m.roughness}};
         Json out{{"name", m.name}, {"doubleSided", m.two_sided_emission}};
@@ -199,6 +199,13 @@ private:
         add_extension(out, "KHR_materials_specular", "specularFactor", m.specular, 1);
         add_extension(out, "KHR_materials_ior", "ior", m.ior, 1.5f);
         add_transmission(m, out);
+        if (m.normal_map.texture >= 0) {
+            out["normalTexture"] = texture_info(m.normal_map);
+            out["normalTexture"]["scale"] = m.normal_scale;
+        }
+        if (m.alpha_mode != AlphaMode::opaque)
+            out["alphaMode"] = m.alpha_mode == AlphaMode::mask ? "MASK" : "BLEND";
+        if (m.alpha_mode == AlphaMode::mask) out["alphaCutoff"] = m.alpha_cutoff;
         append("materials", std::move(out));
     }
 

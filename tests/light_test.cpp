@@ -182,6 +182,31 @@ TEST_P(LightTransport, TexturesScaleTheAlbedo) {
     expect_near(look(bundle, from_above()), vec3(0.5029f, 0, 0.5f), 2e-3f);
 }
 
+TEST_P(LightTransport, SkyOverALambertPlaneAndBall) {
+    // Irradiance of the open sky is pi times its radiance.
+    SceneBundle bundle = floor_of(lambert({0.8f, 0.4f, 0.2f}));
+    bundle.scene.environment.radiance = {2, 1, 3};
+    expect_near(look(bundle, from_above(), 64), vec3(1.6f, 0.4f, 0.6f), 0.005f);
+    // Straight up is the sky itself.
+    Camera up = from_above();
+    up.at = {0, 2, 0};
+    expect_near(look(bundle, up), vec3(2, 1, 3), 1e-4f);
+    // Half of the sky is dark: a picture of two rows.
+    bundle.scene.environment.texture = std::int32_t(add_texture(
+        bundle, {.width = 1, .height = 2, .rgba = {}, .radiance = {vec3(1), vec3(0)}}));
+    const vec3 level = look(bundle, from_above(), 256);
+    // Interpolated between the rows' middles: 1 down to 45 degrees, then linear in the angle.
+    // Irradiance over 2 pi: 1/4 + the integral of (3/4 - t/pi... over the rest.
+    double sum = 0;
+    constexpr int n = 1000;
+    for (int i = 0; i < n; ++i) {
+        const double theta = (i + 0.5) / n * double(pi) / 2;
+        const double radiance = std::min(1.0, 1.5 - 2 * theta / double(pi));
+        sum += 2 * radiance * std::cos(theta) * std::sin(theta) * double(pi) / 2 / n;
+    }
+    expect_near(level, float(sum) * vec3(1.6f, 0.4f, 0.6f), 0.005f);
+}
+
 TEST_P(LightTransport, WithoutLightAllIsBlack) {
     EXPECT_EQ(look(floor_of(lambert(vec3(0.5f))), from_above()), vec3(0));
     EXPECT_EQ(look(SceneBundle{}, from_above()), vec3(0));
@@ -344,6 +369,76 @@ TEST(Igi, AgreesWithThePathTracerThroughGlassAndBesideMirrors) {
     bundle.scene.materials[2].specular = 1;
     bundle.scene.materials[2].roughness = 0.3f;
     expect_agreement(bundle, at_ball(), 32);
+}
+
+TEST(Igi, AgreesWithThePathTracerUnderASkyWithASun) {
+    Texture picture{.width = 32, .height = 16, .rgba = {}};
+    for (std::uint32_t i = 0; i < 32 * 16; ++i)
+        picture.radiance.emplace_back(0.3f, 0.4f, i < 256 ? 0.6f : 0.1f);
+    picture.radiance[3 * 32 + 13] = vec3(300, 250, 200);
+    SceneBundle bundle;
+    bundle.scene.environment = {.radiance = vec3(1),
+                                .texture = std::int32_t(add_texture(bundle, picture)),
+                                .rotation = 0.4f};
+    add_shape(bundle, square(2, -0.8f), coated(vec3(0.5f), 0.7f));
+    MeshBuilder builder;
+    builder.ball({-0.4f, -0.4f, -0.4f}, 0.4f, 32);
+    add_shape(bundle, builder.take(), coated({0.9f, 0.6f, 0.3f}, 0.3f));
+    expect_agreement(bundle, at_ball(), 32);
+}
+
+/// A square whose texture has alpha 1 on the left, 0.25 on the right.
+SceneBundle half_there(AlphaMode mode) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    Material m = emitter(vec3(1));
+    m.base_color_map.texture = std::int32_t(add_texture(
+        bundle, {.width = 2,
+                 .height = 1,
+                 .wrap_u = Wrap::clamp,
+                 .rgba = {255, 255, 255, 255, 255, 255, 255, 64}}));
+    m.alpha_mode = mode;
+    add_shape(bundle, square(1, 1), m);
+    add_light(bundle, LightKind::directional, vec3(0), {0, -1, 0}, vec3(pi));
+    return bundle;
+}
+
+TEST_P(LightTransport, RaysPassHoles) {
+    Camera left = from_above(3), right = left;
+    left.eye.x = left.at.x = -0.9f;
+    right.eye.x = right.at.x = 0.9f;
+    // Where the mask is there it shines; beside it both eye and light look through.
+    SceneBundle bundle = half_there(AlphaMode::mask);
+    expect_near(look(bundle, left), vec3(1), 1e-3f);
+    const vec3 through = look(bundle, right, 64);
+    EXPECT_GT(through.x, 0.5f);
+    bundle.scene.materials[1].alpha_mode = AlphaMode::opaque;
+    expect_near(look(bundle, right), vec3(1), 1e-3f);
+    // Of a quarter of a surface both see a quarter, and so three quarters of the rest.
+    bundle = half_there(AlphaMode::blend);
+    bundle.scene.materials[1].emission = vec3(0);
+    const float quarter = 64.0f / 255;
+    expect_near(look(bundle, right, 512), vec3(0.5f * (1 - quarter) * (1 - quarter)), 0.03f);
+}
+
+TEST_P(LightTransport, NormalMapsTiltTheSurface) {
+    SceneBundle bundle;
+    // Towards +u, that is +x on this square, by half a right angle.
+    const auto byte = std::uint8_t(std::lround((std::sqrt(0.5) + 1) / 2 * 255));
+    Material m = lambert(vec3(0.5f));
+    m.normal_map.texture = std::int32_t(add_texture(
+        bundle, {.width = 1, .height = 1, .srgb = false, .rgba = {byte, 128, byte, 255}}));
+    add_shape(bundle, square(10, 0), m);
+    add_light(bundle, LightKind::directional, vec3(0), normalize(vec3(-1, -1, 0)), vec3(pi));
+    expect_near(look(bundle, from_above()), vec3(0.5f), 0.01f);
+    bundle.scene.lights[0].direction = normalize(vec3(1, -1, 0));
+    EXPECT_LT(look(bundle, from_above()).x, 0.01f);
+    // Green points up in the picture, which is away from +z here; a mirrored instance likewise.
+    bundle.scene.textures[0] = bundle.blobs.insert(encode(
+        Texture{.width = 1, .height = 1, .srgb = false, .rgba = {128, byte, byte, 255}}));
+    bundle.scene.lights[0].direction = normalize(vec3(0, -1, 1));
+    expect_near(look(bundle, from_above()), vec3(0.5f), 0.01f);
+    bundle.scene.instances[0].world_from_object[0][0] = -1;
+    expect_near(look(bundle, from_above()), vec3(0.5f), 0.01f);
 }
 
 TEST_P(LightTransport, WhiteGlassAndCoatsVanishInAFurnace) {

@@ -21,7 +21,7 @@ struct CornerValues {
 
 bool is_textured(const Material& m) {
     return m.base_color_map.texture >= 0 || m.metallic_roughness_map.texture >= 0 ||
-           m.emission_map.texture >= 0;
+           m.emission_map.texture >= 0 || m.normal_map.texture >= 0;
 }
 
 /// The corners of an object's triangles by material: what glTF keeps of a mesh, which is neither
@@ -127,7 +127,12 @@ TEST(SaveGlb, everything_a_scene_holds_comes_back) {
                  .thin_walled = true,
                  .emission = {17.3f, 0.01f, 4},
                  .emission_map = {.texture = colours},
-                 .two_sided_emission = true});
+                 .two_sided_emission = true,
+                 .normal_map = {.texture = data},
+                 .normal_scale = 0.6f,
+                 .alpha_mode = AlphaMode::mask,
+                 .alpha = 0.8f,
+                 .alpha_cutoff = 0.3f});
     Mesh mesh;
     mesh.positions = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0.3f}, {0, 1, 0}};
     mesh.normals = {{0, 0, 1}, {0, 0.6f, 0.8f}, {0, 0, 1}, {0.6f, 0, 0.8f}};

@@ -52,7 +52,11 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
     while (!paths.empty()) {
         std::size_t kept = 0;
         for (std::size_t i = 0; i < paths.size(); ++i) {
-            if (!hits[i].valid()) continue;
+            if (!hits[i].valid()) {
+                pixels[paths[i].pixel].emitted +=
+                    paths[i].throughput * world.lights.sky().radiance(rays[i].dir);
+                continue;
+            }
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             EyePath path = paths[i];
             path.length += hits[i].t * length(rays[i].dir);

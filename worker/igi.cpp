@@ -5,9 +5,10 @@
 namespace tessera {
 namespace {
 
-/// Candidates among which one direct light sample is chosen. One lamp needs no choice; more than
-/// four cost more than they gain.
+/// Candidates among which one direct light sample is chosen. One lamp needs no choice, the sky does;
+/// more than four cost more than they gain.
 std::uint32_t direct_candidates(const World& world) {
+    if (!world.lights.sky().empty()) return 4;
     return std::uint32_t(std::clamp<std::size_t>(world.lights.size() / 2, 1, 4));
 }
 
@@ -243,6 +244,17 @@ void add_emission(const World& world, const IgiConfig& config, const RestPath& p
         pixel.emitted += pixel.albedo / pi * e;
 }
 
+/// Takes in the sky where `ray` left for it; direct sampling has all that broad lobes get.
+void add_sky(const World& world, const RestPath& path, const vec3& dir, vec3& sum) {
+    if (path.via == Via::broad) return;
+    const vec3 radiance = world.lights.sky().radiance(dir);
+    if (radiance == vec3(0)) return;
+    const float weight = path.via == Via::ideal
+                             ? 1
+                             : 1 - direct_weight(world, world.lights.sky_pdf(dir), path.pdf);
+    sum += path.throughput * radiance * weight;
+}
+
 /// Moves `path` on to `s`, where `ray` ended; false when it carries nothing any more.
 bool advance(RestPath& path, const IgiConfig& config, const Ray& ray, float t,
              const SurfacePoint& s) {
@@ -325,8 +337,11 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
         // Light what they found: it emits, and reflects light from one lamp and one VPL.
         std::size_t kept = 0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            if (!hits[i].valid()) continue;
             RestPath& path = paths[i];
+            if (!hits[i].valid()) {
+                add_sky(world, path, rays[i].dir, pixels[path.pixel].*sum);
+                continue;
+            }
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             add_emission(world, config, path, hits[i], s, sum, pixels[path.pixel]);
             if (!advance(path, config, rays[i], hits[i].t, s)) continue;

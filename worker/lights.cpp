@@ -37,7 +37,7 @@ float spot_falloff(const Light& light, float cosine) {
 }
 
 Lights::Lights(const Surfaces& surfaces, const Box& bounds)
-    : surfaces_(&surfaces), punctual_(surfaces.scene().lights) {
+    : surfaces_(&surfaces), punctual_(surfaces.scene().lights), sky_(surfaces.sky()) {
     if (!bounds.empty()) {
         centre_ = bounds.centre();
         radius_ = std::max(0.5f * length(bounds.extent()), 1e-20f);
@@ -47,6 +47,8 @@ Lights::Lights(const Surfaces& surfaces, const Box& bounds)
     for (std::uint32_t i = 0; i < surfaces.instance_count(); ++i) add_triangles(i, powers);
     first_of_instance_.push_back(std::uint32_t(triangles_.size()));
     for (const Light& light : punctual_) powers.push_back(power(light));
+    // All that falls through the surface of the bounding sphere.
+    if (!sky_.empty()) powers.push_back(pi * radius_ * radius_ * sky_.mean_irradiance());
     choice_ = Distribution(powers);
 }
 
@@ -96,7 +98,18 @@ std::optional<LightSample> Lights::sample(const vec3& p, float u_light, const ve
     const auto chosen = choice_.sample(u_light);
     if (chosen.index < triangles_.size())
         return sample_triangle_light(triangles_[chosen.index], p, chosen.probability, u);
-    return sample_punctual(punctual_[chosen.index - triangles_.size()], p, chosen.probability);
+    const std::size_t index = chosen.index - triangles_.size();
+    if (index == punctual_.size()) return sample_sky(chosen.probability, u);
+    return sample_punctual(punctual_[index], p, chosen.probability);
+}
+
+std::optional<LightSample> Lights::sample_sky(float probability, const vec2& u) const {
+    const Sky::Direction d = sky_.sample(u);
+    LightSample s;
+    s.wi = d.dir;
+    s.radiance = sky_.radiance(d.dir);
+    s.pdf = probability * d.pdf;
+    return s;
 }
 
 std::optional<LightSample> Lights::sample_triangle_light(const TriangleLight& light, const vec3& p,
@@ -154,13 +167,19 @@ float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const
            (light->area * cosine);
 }
 
+float Lights::sky_pdf(const vec3& dir) const {
+    return sky_.empty() ? 0 : choice_.probability(std::uint32_t(size() - 1)) * sky_.pdf(dir);
+}
+
 EmissionSample Lights::sample_emission(float u_light, const vec2& u_place,
                                        const vec2& u_dir) const {
     const auto chosen = choice_.sample(u_light);
+    const std::size_t index = chosen.index - triangles_.size();
     EmissionSample s =
         chosen.index < triangles_.size()
             ? emit_from_triangle(triangles_[chosen.index], chosen.u, u_place, u_dir)
-            : emit_from_punctual(punctual_[chosen.index - triangles_.size()], u_place, u_dir);
+        : index < punctual_.size() ? emit_from_punctual(punctual_[index], u_place, u_dir)
+                                   : emit_from_sky(u_place, u_dir);
     s.flux /= chosen.probability;
     return s;
 }
@@ -190,13 +209,27 @@ EmissionSample Lights::emit_from_punctual(const Light& light, const vec2& u_plac
         s.ray.dir = Frame(light.direction).world_from_local(local);
         s.flux = light.intensity * spot_falloff(light, local.z) / cone_pdf(cos_outer);
     } else {
-        // Directional light leaves a disc that covers the scene's bounding sphere.
-        const vec2 d = radius_ * sample_disc(u_place);
-        const Frame frame(light.direction);
-        s.ray.dir = light.direction;
-        s.ray.org = centre_ + d.x * frame.s + d.y * frame.t - 2 * radius_ * light.direction;
-        s.flux = light.intensity * pi * radius_ * radius_;
+        s = emit_from_disc(light.direction, u_place);
+        s.flux *= light.intensity;
     }
+    return s;
+}
+
+EmissionSample Lights::emit_from_sky(const vec2& u_place, const vec2& u_dir) const {
+    const Sky::Direction d = sky_.sample(u_dir);
+    EmissionSample s = emit_from_disc(-d.dir, u_place);
+    s.flux *= sky_.radiance(d.dir) / d.pdf;
+    return s;
+}
+
+/// Light from far away leaves a disc that covers the scene's bounding sphere.
+EmissionSample Lights::emit_from_disc(const vec3& dir, const vec2& u_place) const {
+    const vec2 d = radius_ * sample_disc(u_place);
+    const Frame frame(dir);
+    EmissionSample s;
+    s.ray.dir = dir;
+    s.ray.org = centre_ + d.x * frame.s + d.y * frame.t - 2 * radius_ * dir;
+    s.flux = vec3(pi * radius_ * radius_);
     return s;
 }
 

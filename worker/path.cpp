@@ -113,6 +113,16 @@ void add_emission(const World& world, const Path& path, const Hit& hit, const Su
             path.throughput * s.emission * weight);
 }
 
+/// The same for the sky, which the path leaves for.
+void add_sky(const World& world, const Path& path, const vec3& dir, std::span<PixelSample> pixels) {
+    const vec3 radiance = world.lights.sky().radiance(dir);
+    if (radiance == vec3(0)) return;
+    const float weight =
+        path.pdf > 0 ? power_heuristic(path.pdf, world.lights.sky_pdf(dir)) : 1;
+    deposit(pixels[path.pixel], path.pdf > 0 && path.bounces == 1,
+            path.throughput * radiance * weight);
+}
+
 }  // namespace
 
 std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_t bounces,
@@ -143,7 +153,10 @@ std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_
         // Take in what they found.
         std::size_t alive = 0;
         for (std::size_t i = 0; i < kept; ++i) {
-            if (!hits[i].valid()) continue;
+            if (!hits[i].valid()) {
+                add_sky(world, paths[i], rays[i].dir, pixels);
+                continue;
+            }
             paths[i].at = world.surfaces.at(rays[i], hits[i]);
             add_emission(world, paths[i], hits[i], paths[i].at, pixels);
             paths[alive++] = paths[i];

@@ -55,6 +55,26 @@ void note_glass(ScenePlan& plan, const Scene& scene) {
             "that hit lamps, so point lights and other lights without size do not shine through");
 }
 
+void note_alpha(ScenePlan& plan, const Scene& scene) {
+    const auto holes = count_materials(
+        scene, [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
+    const auto blended = count_materials(
+        scene, [](const Material& m) { return m.alpha_mode == AlphaMode::blend; });
+    note(plan, holes, "surfaces with holes",
+         fmt::format(" materials, past which rays are traced again; of {} each ray meets a share",
+                     blended));
+}
+
+/// Values beyond what surfaces can do are clamped: say so.
+void note_clamped(ScenePlan& plan, const Scene& scene) {
+    const auto bright = count_materials(scene, [](const Material& m) {
+        return max_component(m.base_color) > 1 || m.base_color != glm::max(m.base_color, vec3(0));
+    });
+    if (bright > 0)
+        plan.left_out.push_back(fmt::format(
+            "reflectance below 0 or above 1: {} materials, clamped to that range", bright));
+}
+
 }  // namespace
 
 ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& lights) {
@@ -66,6 +86,14 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
     note(plan, count_lights(scene, LightKind::spot), "spot lights", "");
     note(plan, count_lights(scene, LightKind::directional), "directional lights", "");
     note(plan, scene.textures.size(), "textures", "");
+    if (surfaces.sanitised_texels() > 0)
+        plan.left_out.push_back(fmt::format("{} texels that were negative or not finite: black",
+                                            surfaces.sanitised_texels()));
+    note(plan, lights.sky().empty() ? 0 : 1, "environment",
+         scene.environment.texture < 0 ? " colour" : " map");
+    note(plan, count_materials(scene, [](const Material& m) { return m.normal_map.texture >= 0; }),
+         "normal maps", " materials");
+    note_alpha(plan, scene);
     note(plan,
          count_materials(scene,
                          [](const Material& m) { return is_mirror(m.metallic, m.roughness); }),
@@ -77,6 +105,7 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
         plan.modelled.push_back(
             "caustics: by scattered rays that find mirrors, glass and narrow gloss, in igi as in "
             "path");
+    note_clamped(plan, scene);
     if (lights.empty()) plan.left_out.push_back("light: nothing emits, the picture will be black");
     return plan;
 }

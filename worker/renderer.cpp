@@ -9,6 +9,7 @@
 #include <mutex>
 
 #include "common/check.h"
+#include "worker/cutout_tracer.h"
 #include "worker/igi.h"
 #include "worker/light_paths.h"
 #include "worker/path.h"
@@ -197,6 +198,12 @@ void add_pass(const FrameSpec& spec, std::span<const PixelSample> samples, bool 
     }
 }
 
+bool has_cutouts(const Scene& scene) {
+    return std::any_of(scene.materials.begin(), scene.materials.end(), [](const Material& m) {
+        return m.alpha_mode != AlphaMode::opaque;
+    });
+}
+
 }  // namespace
 
 struct Renderer::State {
@@ -215,6 +222,7 @@ struct Renderer::State {
             const auto start = Clock::now();
             slot = build_tracer(kind, surfaces.tracer_objects(), surfaces.tracer_instances(),
                                 config.threads);
+            if (has_cutouts(surfaces.scene())) slot = with_cutouts(slot, surfaces);
             build_seconds = build_seconds + seconds_since(start);
         }
         return slot;
