@@ -1,11 +1,13 @@
 // All that emits: triangles of emissive materials in every instance, punctual lights (point, spot,
-// directional; falloff after glTF's KHR_lights_punctual) and the sky. Chosen by power; sampled towards a
+// directional; falloff after glTF's KHR_lights_punctual) and the sky. Few lights are chosen by
+// power, many by what they can send to the receiver. Chosen by power; sampled towards a
 // receiver, or outward as the start of a light path.
 #pragma once
 
 #include <optional>
 #include <vector>
 
+#include "worker/light_tree.h"
 #include "worker/sampling.h"
 #include "worker/sky.h"
 #include "worker/surface.h"
@@ -41,6 +43,8 @@ public:
         return triangles_.size() + punctual_.size() + (sky_.empty() ? 0 : 1);
     }
     const Sky& sky() const { return sky_; }
+    /// Whether lights are chosen by what they can send to the receiver.
+    bool has_tree() const { return !tree_.empty(); }
 
     /// Chooses a light with u_light and a point on it with u. Nothing when it does not face `p`.
     std::optional<LightSample> sample(const vec3& p, float u_light, const vec2& u) const;
@@ -65,6 +69,10 @@ private:
         vec3 radiance{0};  ///< mean of the emitting side
     };
 
+    void build_tree(std::span<const float> powers);
+    bool is_far(std::uint32_t index) const;
+    std::optional<Distribution::Choice> choose(const vec3& p, float u) const;
+    float probability(const vec3& p, std::uint32_t index) const;
     void add_triangles(std::uint32_t instance, std::vector<float>& power);
     std::optional<LightSample> sample_triangle_light(const TriangleLight& light, const vec3& p,
                                                      float probability, const vec2& u) const;
@@ -87,7 +95,9 @@ private:
     std::vector<std::uint32_t> first_of_instance_;
     std::vector<Light> punctual_;
     Sky sky_;
-    Distribution choice_;  ///< over triangles_, then punctual_, then the sky
+    Distribution choice_;  ///< by power, over triangles_, then punctual_, then the sky
+    LightTree tree_;       ///< over the same; those that are everywhere have no power there
+    Distribution far_;     ///< over the same; only those that are everywhere
 };
 
 /// The shadow ray from `s` to a light sampled from there.

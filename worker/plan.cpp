@@ -56,10 +56,10 @@ void note_glass(ScenePlan& plan, const Scene& scene) {
 }
 
 void note_alpha(ScenePlan& plan, const Scene& scene) {
-    const auto holes = count_materials(
-        scene, [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
-    const auto blended = count_materials(
-        scene, [](const Material& m) { return m.alpha_mode == AlphaMode::blend; });
+    const auto holes =
+        count_materials(scene, [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
+    const auto blended =
+        count_materials(scene, [](const Material& m) { return m.alpha_mode == AlphaMode::blend; });
     note(plan, holes, "surfaces with holes",
          fmt::format(" materials, past which rays are traced again; of {} each ray meets a share",
                      blended));
@@ -89,6 +89,9 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
     if (surfaces.sanitised_texels() > 0)
         plan.left_out.push_back(fmt::format("{} texels that were negative or not finite: black",
                                             surfaces.sanitised_texels()));
+    if (lights.has_tree())
+        plan.modelled.push_back(
+            fmt::format("many lights: {}, chosen from by a tree", lights.size()));
     note(plan, lights.sky().empty() ? 0 : 1, "environment",
          scene.environment.texture < 0 ? " colour" : " map");
     note(plan, count_materials(scene, [](const Material& m) { return m.normal_map.texture >= 0; }),
