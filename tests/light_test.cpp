@@ -46,6 +46,33 @@ void add_light(SceneBundle& bundle, LightKind kind, const vec3& position, const 
     bundle.scene.lights.push_back(light);
 }
 
+/// A lit room with a coat on its walls and a ball of `ball` in the middle of the picture.
+SceneBundle room_with_ball(const Material& walls, const Material& ball) {
+    SceneBundle bundle;
+    add_shape(bundle, room(vec3(-1), vec3(1)), walls);
+    add_shape(bundle, square(0.5f, 0.99f, false), emitter(vec3(5)));
+    MeshBuilder builder;
+    builder.ball({-0.4f, -0.4f, -0.4f}, 0.4f, 32);
+    add_shape(bundle, builder.take(), ball);
+    return bundle;
+}
+
+Camera at_ball() {
+    Camera camera;
+    camera.eye = {0.5f, 0.3f, 0.6f};
+    camera.at = {-0.4f, -0.4f, -0.4f};
+    camera.fov_y = 60;
+    return camera;
+}
+
+Material coated(const vec3& colour, float roughness, float metallic = 0) {
+    Material m = lambert(colour);
+    m.specular = 1;
+    m.roughness = roughness;
+    m.metallic = metallic;
+    return m;
+}
+
 TEST_P(LightTransport, FurnaceGlowsAsItsGeometricSeries) {
     // In a closed room of one albedo and one emission every radiance is e + a e + a^2 e...
     SceneBundle bundle;
@@ -192,8 +219,8 @@ TEST_P(LightTransport, SkyOverALambertPlaneAndBall) {
     up.at = {0, 2, 0};
     expect_near(look(bundle, up), vec3(2, 1, 3), 1e-4f);
     // Half of the sky is dark: a picture of two rows.
-    bundle.scene.environment.texture = std::int32_t(add_texture(
-        bundle, {.width = 1, .height = 2, .rgba = {}, .radiance = {vec3(1), vec3(0)}}));
+    bundle.scene.environment.texture = std::int32_t(
+        add_texture(bundle, {.width = 1, .height = 2, .rgba = {}, .radiance = {vec3(1), vec3(0)}}));
     const vec3 level = look(bundle, from_above(), 256);
     // Interpolated between the rows' middles: 1 down to 45 degrees, then linear in the angle.
     // Irradiance over 2 pi: 1/4 + the integral of (3/4 - t/pi... over the rest.
@@ -210,6 +237,64 @@ TEST_P(LightTransport, SkyOverALambertPlaneAndBall) {
 TEST_P(LightTransport, WithoutLightAllIsBlack) {
     EXPECT_EQ(look(floor_of(lambert(vec3(0.5f))), from_above()), vec3(0));
     EXPECT_EQ(look(SceneBundle{}, from_above()), vec3(0));
+}
+
+TEST_P(LightTransport, PicturesScaleWithTheirLight) {
+    SceneBundle bundle = room_with_ball(lambert(vec3(0.5f)), coated(vec3(0.8f), 0.2f, 1));
+    const vec3 usual = look(bundle, at_ball(), 4);
+    for (const float scale : {0x1p-20f, 0x1p30f}) {
+        bundle.scene.materials[1].emission = vec3(5 * scale);
+        expect_near(look(bundle, at_ball(), 4), scale * usual, 1e-3f);
+    }
+}
+
+TEST_P(LightTransport, ReflectanceIsClamped) {
+    SceneBundle bundle = floor_of(lambert({5, 1, -3}));
+    add_light(bundle, LightKind::directional, vec3(0), {0, -1, 0}, vec3(pi));
+    expect_near(look(bundle, from_above()), vec3(1, 1, 0), 1e-4f);
+    const Renderer renderer(bundle.scene, bundle.blobs, {});
+    EXPECT_NE(renderer.plan().left_out.back().find("clamped"), std::string::npos);
+}
+
+TEST_P(LightTransport, ManyLightsThatAreAllHidden) {
+    // Lamps in a closed box above the floor: nothing arrives, and nothing goes wrong.
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    add_shape(bundle, room({-1, 1, -1}, {1, 2, 1}), lambert(vec3(0.9f)));
+    for (int i = 0; i < 64; ++i) {
+        mat4 place(1);
+        place[3] = vec4(0.2f * float(i % 8) - 0.7f, 1.9f, 0.2f * float(i / 8) - 0.7f, 1);
+        add_shape(bundle, square(0.05f, 0, false), emitter(vec3(10)), place);
+    }
+    Camera aside = from_above(3);
+    aside.eye.x = aside.at.x = 4;
+    EXPECT_EQ(look(bundle, aside), vec3(0));
+    // Inside of it, many lamps are the sum of their light, however they are chosen.
+    Camera inside;
+    inside.eye = {0, 1.5f, 0};
+    inside.at = {0.3f, 1, 0.2f};
+    const vec3 all = look(bundle, inside, 64);
+    for (std::size_t i = 2 + 24; i < bundle.scene.materials.size(); ++i)
+        bundle.scene.materials[i].emission = vec3(0);
+    const vec3 few = look(bundle, inside, 64);
+    for (std::size_t i = 2; i < bundle.scene.materials.size(); ++i)
+        bundle.scene.materials[i].emission = vec3(i < 2 + 24 ? 0 : 10);
+    expect_near(few + look(bundle, inside, 64), all, 0.03f);
+}
+
+TEST_P(LightTransport, TexelsThatAreNotFiniteAreBlack) {
+    SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
+    Material lamp = emitter(vec3(1));
+    lamp.emission_map.texture = std::int32_t(add_texture(
+        bundle, {.width = 2, .height = 1, .rgba = {}, .radiance = {vec3(NAN), vec3(4)}}));
+    add_shape(bundle, square(1, 2, false), lamp);
+    bundle.scene.environment = {.radiance = vec3(0.1f), .texture = lamp.emission_map.texture};
+    const vec3 seen = look(bundle, from_above());
+    EXPECT_TRUE(is_finite(seen));
+    EXPECT_GT(seen.x, 0.1f);
+    const Renderer renderer(bundle.scene, bundle.blobs, {});
+    const auto& left_out = renderer.plan().left_out;
+    EXPECT_TRUE(std::ranges::any_of(
+        left_out, [](const std::string& line) { return line.starts_with("1 texels"); }));
 }
 
 TEST_P(LightTransport, BouncesAreLimited) {
@@ -316,33 +401,6 @@ void expect_agreement(const SceneBundle& bundle, const Camera& camera, std::uint
     }
 }
 
-/// A lit room with a coat on its walls and a ball of `ball` in the middle of the picture.
-SceneBundle room_with_ball(const Material& walls, const Material& ball) {
-    SceneBundle bundle;
-    add_shape(bundle, room(vec3(-1), vec3(1)), walls);
-    add_shape(bundle, square(0.5f, 0.99f, false), emitter(vec3(5)));
-    MeshBuilder builder;
-    builder.ball({-0.4f, -0.4f, -0.4f}, 0.4f, 32);
-    add_shape(bundle, builder.take(), ball);
-    return bundle;
-}
-
-Camera at_ball() {
-    Camera camera;
-    camera.eye = {0.5f, 0.3f, 0.6f};
-    camera.at = {-0.4f, -0.4f, -0.4f};
-    camera.fov_y = 60;
-    return camera;
-}
-
-Material coated(const vec3& colour, float roughness, float metallic = 0) {
-    Material m = lambert(colour);
-    m.specular = 1;
-    m.roughness = roughness;
-    m.metallic = metallic;
-    return m;
-}
-
 TEST(Igi, AgreesWithThePathTracerOnBroadGloss) {
     expect_agreement(
         room_with_ball(coated({0.6f, 0.5f, 0.4f}, 0.6f), coated({0.9f, 0.6f, 0.3f}, 0.5f, 1)),
@@ -391,11 +449,11 @@ TEST(Igi, AgreesWithThePathTracerUnderASkyWithASun) {
 SceneBundle half_there(AlphaMode mode) {
     SceneBundle bundle = floor_of(lambert(vec3(0.5f)));
     Material m = emitter(vec3(1));
-    m.base_color_map.texture = std::int32_t(add_texture(
-        bundle, {.width = 2,
-                 .height = 1,
-                 .wrap_u = Wrap::clamp,
-                 .rgba = {255, 255, 255, 255, 255, 255, 255, 64}}));
+    m.base_color_map.texture =
+        std::int32_t(add_texture(bundle, {.width = 2,
+                                          .height = 1,
+                                          .wrap_u = Wrap::clamp,
+                                          .rgba = {255, 255, 255, 255, 255, 255, 255, 64}}));
     m.alpha_mode = mode;
     add_shape(bundle, square(1, 1), m);
     add_light(bundle, LightKind::directional, vec3(0), {0, -1, 0}, vec3(pi));
@@ -433,8 +491,8 @@ TEST_P(LightTransport, NormalMapsTiltTheSurface) {
     bundle.scene.lights[0].direction = normalize(vec3(1, -1, 0));
     EXPECT_LT(look(bundle, from_above()).x, 0.01f);
     // Green points up in the picture, which is away from +z here; a mirrored instance likewise.
-    bundle.scene.textures[0] = bundle.blobs.insert(encode(
-        Texture{.width = 1, .height = 1, .srgb = false, .rgba = {128, byte, byte, 255}}));
+    bundle.scene.textures[0] = bundle.blobs.insert(
+        encode(Texture{.width = 1, .height = 1, .srgb = false, .rgba = {128, byte, byte, 255}}));
     bundle.scene.lights[0].direction = normalize(vec3(0, -1, 1));
     expect_near(look(bundle, from_above()), vec3(0.5f), 0.01f);
     bundle.scene.instances[0].world_from_object[0][0] = -1;

@@ -5,9 +5,10 @@
 namespace tessera {
 namespace {
 
-/// Candidates among which one direct light sample is chosen. One lamp needs no choice, the sky does;
-/// more than four cost more than they gain.
+/// Candidates among which one direct light sample is chosen. One lamp needs no choice, the sky
+/// does; more than four cost more than they gain, more than two where a tree has chosen well.
 std::uint32_t direct_candidates(const World& world) {
+    if (world.lights.has_tree()) return 2;
     if (!world.lights.sky().empty()) return 4;
     return std::uint32_t(std::clamp<std::size_t>(world.lights.size() / 2, 1, 4));
 }
@@ -249,9 +250,8 @@ void add_sky(const World& world, const RestPath& path, const vec3& dir, vec3& su
     if (path.via == Via::broad) return;
     const vec3 radiance = world.lights.sky().radiance(dir);
     if (radiance == vec3(0)) return;
-    const float weight = path.via == Via::ideal
-                             ? 1
-                             : 1 - direct_weight(world, world.lights.sky_pdf(dir), path.pdf);
+    const float weight =
+        path.via == Via::ideal ? 1 : 1 - direct_weight(world, world.lights.sky_pdf(dir), path.pdf);
     sum += path.throughput * radiance * weight;
 }
 
