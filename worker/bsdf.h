@@ -77,6 +77,13 @@ inline bool is_mirror(float metallic, float roughness) {
     return metallic >= 0.9f && roughness < 0.1f;
 }
 
+/// Nothing but a diffuse lobe: what most surfaces of most scenes are.
+inline Bsdf lambert_bsdf(const vec3& base_color) {
+    Bsdf b;
+    b.diffuse = glm::clamp(base_color, 0.0f, 1.0f);
+    return b;
+}
+
 /// `cos_o`: between wo and the shading normal; `outside`: whether wo is on the surface's front.
 /// Colours are clamped to [0, 1].
 Bsdf make_bsdf(const SurfaceLook& look, float cos_o, bool outside = true);

@@ -60,6 +60,10 @@ std::uint64_t sanitise(Texture& texture) {
     return count;
 }
 
+bool is_lambert(const Material& m) {
+    return m.metallic == 0 && m.specular == 0 && m.transmission == 0;
+}
+
 }  // namespace
 
 Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs) : scene_(scene) {
@@ -215,8 +219,7 @@ vec3 Surfaces::bumped(const Material& m, const WorldTriangle& t, const Mesh& mes
     const vec3 across = cross(n, tangent);
     const vec3 bitangent = dot(across, along_v) > 0 ? -across : across;
     const vec3 texel = 2.0f * vec3(color(m.normal_map, uv)) - 1.0f;
-    return unit_or(
-        m.normal_scale * (texel.x * tangent + texel.y * bitangent) + texel.z * n, n);
+    return unit_or(m.normal_scale * (texel.x * tangent + texel.y * bitangent) + texel.z * n, n);
 }
 
 SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
@@ -249,7 +252,8 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
         const vec3 n = bumped(m, t, mesh, corners, uv, front ? s.n : -s.n);
         if (dot(front ? n : -n, s.wo) > 0) s.n = front ? n : -n;
     }
-    s.bsdf = make_bsdf(look(m, uv), dot(s.n, s.wo), front);
+    s.bsdf = is_lambert(m) ? lambert_bsdf(m.base_color * vec3(color(m.base_color_map, uv)))
+                           : make_bsdf(look(m, uv), dot(s.n, s.wo), front);
     if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
     return s;
 }
