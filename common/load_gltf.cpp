@@ -378,10 +378,9 @@ private:
     }
 
     static std::vector<tinygltf::TextureInfo> textures_of(const tinygltf::Material& m) {
-        std::vector<tinygltf::TextureInfo> all{m.pbrMetallicRoughness.baseColorTexture,
-                                               m.emissiveTexture,
-                                               m.pbrMetallicRoughness.metallicRoughnessTexture,
-                                               plain_info(m.normalTexture)};
+        std::vector<tinygltf::TextureInfo> all{
+            m.pbrMetallicRoughness.baseColorTexture, m.emissiveTexture,
+            m.pbrMetallicRoughness.metallicRoughnessTexture, plain_info(m.normalTexture)};
         const Value* transmission = extension(m.extensions, "KHR_materials_transmission");
         const Value* map = transmission ? member(*transmission, "transmissionTexture") : nullptr;
         if (map != nullptr) all.push_back(texture_info(*map));

@@ -117,8 +117,7 @@ void add_emission(const World& world, const Path& path, const Hit& hit, const Su
 void add_sky(const World& world, const Path& path, const vec3& dir, std::span<PixelSample> pixels) {
     const vec3 radiance = world.lights.sky().radiance(dir);
     if (radiance == vec3(0)) return;
-    const float weight =
-        path.pdf > 0 ? power_heuristic(path.pdf, world.lights.sky_pdf(dir)) : 1;
+    const float weight = path.pdf > 0 ? power_heuristic(path.pdf, world.lights.sky_pdf(dir)) : 1;
     deposit(pixels[path.pixel], path.pdf > 0 && path.bounces == 1,
             path.throughput * radiance * weight);
 }

@@ -199,9 +199,8 @@ void add_pass(const FrameSpec& spec, std::span<const PixelSample> samples, bool 
 }
 
 bool has_cutouts(const Scene& scene) {
-    return std::any_of(scene.materials.begin(), scene.materials.end(), [](const Material& m) {
-        return m.alpha_mode != AlphaMode::opaque;
-    });
+    return std::any_of(scene.materials.begin(), scene.materials.end(),
+                       [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
 }
 
 }  // namespace
