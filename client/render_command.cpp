@@ -26,6 +26,7 @@ using Clock = std::chrono::steady_clock;
 
 struct RenderOptions {
     std::string scene;
+    std::string environment;
     std::string output;
     CameraOptions camera;
     Integrator integrator = Integrator::igi;
@@ -149,6 +150,7 @@ private:
 LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
     LoadedScene loaded = load_scene(options.scene);
     for (const std::string& note : loaded.notes) bar.note(note);
+    if (!options.environment.empty()) set_environment(loaded.bundle, options.environment);
     if (!has_light(loaded.bundle.scene))
         bar.note("no light in the scene: the picture will be black");
     return loaded;
@@ -274,6 +276,9 @@ void add_render_command(CLI::App& app) {
         ->add_option("SCENE", options->scene,
                      "a .gltf, .glb, .obj or .ply file, or the name of a generated scene")
         ->required();
+    command->add_option("--environment", options->environment,
+                        "light from all sides: a radiance, or a picture by latitude and longitude "
+                        "(.hdr, .exr)");
     add_output_options(command, *options);
     add_camera_options(command, options->camera);
     add_quality_options(command, *options);

@@ -7,7 +7,9 @@ namespace tessera {
 
 SceneBundle generate_building();
 SceneBundle generate_cornell();
+SceneBundle generate_foliage();
 SceneBundle generate_office();
+SceneBundle generate_rooms();
 SceneBundle generate_sunflowers();
 
 }  // namespace tessera

@@ -183,23 +183,75 @@ private:
         note_unmodelled(m);
         const double strength = number(extension(m.extensions, "KHR_materials_emissive_strength"),
                                        "emissiveStrength", 1);
-        return {.name = m.name,
-                .base_color = colour(pbr.baseColorFactor, vec3(1)),
-                .base_color_map = map(pbr.baseColorTexture, true),
-                .metallic = float(pbr.metallicFactor),
-                .roughness = float(pbr.roughnessFactor),
-                .metallic_roughness_map = map(pbr.metallicRoughnessTexture, false),
-                .emission = colour(m.emissiveFactor, vec3(0)) * float(strength),
-                .emission_map = map(m.emissiveTexture, true),
-                .two_sided_emission = m.doubleSided};
+        Material out{.name = m.name,
+                     .base_color = colour(pbr.baseColorFactor, vec3(1)),
+                     .base_color_map = map(pbr.baseColorTexture, true),
+                     .metallic = float(pbr.metallicFactor),
+                     .roughness = float(pbr.roughnessFactor),
+                     .metallic_roughness_map = map(pbr.metallicRoughnessTexture, false)};
+        out.specular =
+            float(number(extension(m.extensions, "KHR_materials_specular"), "specularFactor", 1));
+        // Zero stands for an index without bound, which reflects all; 1 for no surface.
+        const double ior = number(extension(m.extensions, "KHR_materials_ior"), "ior", 1.5);
+        out.ior = ior == 0 ? 1e4f : float(std::max(ior, 1.0));
+        read_transmission(m, out);
+        read_alpha(m, out);
+        out.normal_map = map(plain_info(m.normalTexture), false);
+        out.normal_scale = float(m.normalTexture.scale);
+        out.emission = colour(m.emissiveFactor, vec3(0)) * float(strength);
+        out.emission_map = map(m.emissiveTexture, true);
+        out.two_sided_emission = m.doubleSided;
+        return out;
+    }
+
+    static void read_alpha(const tinygltf::Material& m, Material& out) {
+        if (m.alphaMode == "MASK") out.alpha_mode = AlphaMode::mask;
+        if (m.alphaMode == "BLEND") out.alpha_mode = AlphaMode::blend;
+        const auto& factor = m.pbrMetallicRoughness.baseColorFactor;
+        if (out.alpha_mode != AlphaMode::opaque && factor.size() == 4) out.alpha = float(factor[3]);
+        out.alpha_cutoff = float(m.alphaCutoff);
+    }
+
+    /// Without a thickness the surface is a pane (KHR_materials_volume).
+    void read_transmission(const tinygltf::Material& m, Material& out) {
+        const Value* transmission = extension(m.extensions, "KHR_materials_transmission");
+        if (transmission == nullptr) return;
+        out.transmission = float(number(transmission, "transmissionFactor", 0));
+        out.thin_walled =
+            !(number(extension(m.extensions, "KHR_materials_volume"), "thicknessFactor", 0) > 0);
+        if (const Value* texture = member(*transmission, "transmissionTexture"))
+            out.transmission_map = map(texture_info(*texture), false);
+    }
+
+    static tinygltf::TextureInfo plain_info(const tinygltf::NormalTextureInfo& normal) {
+        tinygltf::TextureInfo info;
+        info.index = normal.index;
+        info.texCoord = normal.texCoord;
+        info.extensions = normal.extensions;
+        return info;
+    }
+
+    /// A texture that an extension names.
+    static tinygltf::TextureInfo texture_info(const Value& value) {
+        tinygltf::TextureInfo info;
+        info.index = index_of(&value, "index");
+        info.texCoord = std::max(index_of(&value, "texCoord"), 0);
+        if (const Value* extensions = member(value, "extensions"))
+            if (const Value* transform = member(*extensions, "KHR_texture_transform"))
+                info.extensions["KHR_texture_transform"] = *transform;
+        return info;
     }
 
     void note_unmodelled(const tinygltf::Material& m) {
-        if (m.alphaMode != "OPAQUE") unmodelled("alpha (surfaces are opaque)");
-        if (m.normalTexture.index >= 0) unmodelled("normal maps");
+        static const std::set<std::string> modelled_extensions{
+            "KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_specular",
+            "KHR_materials_transmission", "KHR_materials_volume"};
         if (m.occlusionTexture.index >= 0) unmodelled("occlusion maps");
         for (const auto& [name, value] : m.extensions)
-            if (name != "KHR_materials_emissive_strength") unmodelled(name);
+            if (!modelled_extensions.contains(name)) unmodelled(name);
+        const Value* volume = extension(m.extensions, "KHR_materials_volume");
+        if (volume != nullptr && member(*volume, "attenuationColor") != nullptr)
+            unmodelled("colour of bodies of glass (attenuationColor)");
     }
 
     /// The texture coordinate set that a texture reads.
@@ -325,18 +377,26 @@ private:
         return order;
     }
 
+    static std::vector<tinygltf::TextureInfo> textures_of(const tinygltf::Material& m) {
+        std::vector<tinygltf::TextureInfo> all{
+            m.pbrMetallicRoughness.baseColorTexture, m.emissiveTexture,
+            m.pbrMetallicRoughness.metallicRoughnessTexture, plain_info(m.normalTexture)};
+        const Value* transmission = extension(m.extensions, "KHR_materials_transmission");
+        const Value* map = transmission ? member(*transmission, "transmissionTexture") : nullptr;
+        if (map != nullptr) all.push_back(texture_info(*map));
+        return all;
+    }
+
     /// The set that the material reads, when it reads one: coordinates nobody needs are not kept.
     std::vector<vec2> read_texcoords(const tinygltf::Primitive& primitive) {
         if (primitive.material < 0) return {};
-        const auto& material = at(model_.materials, primitive.material, "material");
         std::optional<int> set;
-        for (const tinygltf::TextureInfo* info :
-             {&material.pbrMetallicRoughness.baseColorTexture, &material.emissiveTexture,
-              &material.pbrMetallicRoughness.metallicRoughnessTexture}) {
-            if (info->index < 0) continue;
-            if (set && *set != texcoord_set(*info))
+        for (const tinygltf::TextureInfo& info :
+             textures_of(at(model_.materials, primitive.material, "material"))) {
+            if (info.index < 0) continue;
+            if (set && *set != texcoord_set(info))
                 unmodelled("several texture coordinate sets in one material");
-            if (!set) set = texcoord_set(*info);
+            if (!set) set = texcoord_set(info);
         }
         if (!set) return {};
         const auto found = primitive.attributes.find(fmt::format("TEXCOORD_{}", *set));
@@ -349,7 +409,8 @@ private:
         // glTF's default material.
         if (!default_material_)
             default_material_ = add_material(
-                loaded_.bundle, {.name = "default", .base_color = vec3(1), .metallic = 1});
+                loaded_.bundle,
+                {.name = "default", .base_color = vec3(1), .metallic = 1, .specular = 1});
         return *default_material_;
     }
 

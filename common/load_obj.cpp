@@ -248,9 +248,10 @@ private:
         out.emission = colour(m.emission);
         out.emission_map = texture(m.emissive_texname, m.emissive_texopt);
         out.two_sided_emission = out.emission != vec3(0);
-        if (m.dissolve < 1)
-            scene_.notes.push_back(fmt::format(
-                "material '{}' is drawn opaque: its transparency is not modelled", m.name));
+        if (m.dissolve < 1) {
+            out.alpha_mode = AlphaMode::blend;
+            out.alpha = m.dissolve;
+        }
         return out;
     }
 

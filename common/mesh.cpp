@@ -13,6 +13,7 @@ static_assert(sizeof(vec3) == 12 && sizeof(vec2) == 8 && sizeof(uvec3) == 12);
 
 constexpr std::uint32_t mesh_magic = 0x314d5354;     // "TSM1"
 constexpr std::uint32_t texture_magic = 0x31545354;  // "TST1"
+constexpr std::uint32_t float_magic = 0x46545354;    // "TSTF"
 
 class Writer {
 public:
@@ -106,19 +107,23 @@ Mesh decode_mesh(std::span<const std::byte> bytes) {
 
 Bytes encode(const Texture& texture) {
     Writer out;
-    out.value(texture_magic);
+    out.value(texture.radiance.empty() ? texture_magic : float_magic);
     out.value(texture.width);
     out.value(texture.height);
     out.value(std::uint8_t(texture.srgb));
     out.value(texture.wrap_u);
     out.value(texture.wrap_v);
-    out.array(texture.rgba);
+    if (texture.radiance.empty())
+        out.array(texture.rgba);
+    else
+        out.array(texture.radiance);
     return out.take();
 }
 
 Texture decode_texture(std::span<const std::byte> bytes) {
     Reader in(bytes);
-    if (in.value<std::uint32_t>() != texture_magic)
+    const auto magic = in.value<std::uint32_t>();
+    if (magic != texture_magic && magic != float_magic)
         throw std::runtime_error("blob is not a texture");
     const auto wrap = [&] {
         const auto value = in.value<std::uint8_t>();
@@ -131,10 +136,15 @@ Texture decode_texture(std::span<const std::byte> bytes) {
     texture.srgb = in.value<std::uint8_t>() != 0;
     texture.wrap_u = wrap();
     texture.wrap_v = wrap();
-    texture.rgba = in.array<std::uint8_t>();
+    if (magic == float_magic)
+        texture.radiance = in.array<vec3>();
+    else
+        texture.rgba = in.array<std::uint8_t>();
     in.expect_end();
     if (texture.width == 0 || texture.height == 0 ||
-        texture.rgba.size() != 4 * std::uint64_t(texture.width) * texture.height)
+        texture.rgba.size() / 4 + texture.radiance.size() !=
+            std::uint64_t(texture.width) * texture.height ||
+        texture.rgba.size() % 4 != 0)
         throw std::runtime_error("texture size and pixels disagree");
     return texture;
 }

@@ -25,15 +25,16 @@ struct Mesh {
 
 enum class Wrap : std::uint8_t { repeat, mirror, clamp };
 
-/// An 8-bit RGBA picture, rows from the top; texture coordinate (0,0) is its top left corner
-/// (glTF).
+/// A picture, rows from the top; texture coordinate (0,0) is its top left corner (glTF). Either
+/// 8-bit RGBA or, for light of any strength, linear float RGB.
 struct Texture {
     std::uint32_t width = 0;
     std::uint32_t height = 0;
     bool srgb = true;  ///< colour values are sRGB encoded (base colour, emission), not linear
     Wrap wrap_u = Wrap::repeat;
     Wrap wrap_v = Wrap::repeat;
-    std::vector<std::uint8_t> rgba;
+    std::vector<std::uint8_t> rgba;  ///< 4 per pixel, or empty:
+    std::vector<vec3> radiance{};    ///< one per pixel
 
     bool operator==(const Texture&) const = default;
 };

@@ -187,6 +187,16 @@ void pack(const Material& v, wire::Material& out) {
     pack(v.emission, *out.mutable_emission());
     pack(v.emission_map, *out.mutable_emission_map());
     out.set_two_sided_emission(v.two_sided_emission);
+    out.set_specular(v.specular);
+    out.set_ior(v.ior);
+    out.set_transmission(v.transmission);
+    pack(v.transmission_map, *out.mutable_transmission_map());
+    out.set_thin_walled(v.thin_walled);
+    pack(v.normal_map, *out.mutable_normal_map());
+    out.set_normal_scale(v.normal_scale);
+    out.set_alpha_mode(pack_enum<wire::AlphaMode>(v.alpha_mode));
+    out.set_alpha(v.alpha);
+    out.set_alpha_cutoff(v.alpha_cutoff);
 }
 void unpack(const wire::Material& in, Material& v) {
     v.name = in.name();
@@ -198,6 +208,28 @@ void unpack(const wire::Material& in, Material& v) {
     unpack(in.emission(), v.emission);
     unpack(in.emission_map(), v.emission_map);
     v.two_sided_emission = in.two_sided_emission();
+    v.specular = in.specular();
+    v.ior = in.ior();
+    v.transmission = in.transmission();
+    unpack(in.transmission_map(), v.transmission_map);
+    v.thin_walled = in.thin_walled();
+    unpack(in.normal_map(), v.normal_map);
+    v.normal_scale = in.normal_scale();
+    v.alpha_mode = unpack_enum(in.alpha_mode(), AlphaMode::blend, "alpha mode");
+    v.alpha = in.alpha();
+    v.alpha_cutoff = in.alpha_cutoff();
+}
+
+void pack(const Environment& v, wire::Environment& out) {
+    pack(v.radiance, *out.mutable_radiance());
+    out.set_texture_plus_one(std::uint32_t(v.texture + 1));
+    out.set_rotation(v.rotation);
+}
+void unpack(const wire::Environment& in, Environment& v) {
+    const std::uint32_t most = std::numeric_limits<std::int32_t>::max();
+    unpack(in.radiance(), v.radiance);
+    v.texture = std::int32_t(in_range(in.texture_plus_one(), 0u, most, "texture_plus_one")) - 1;
+    v.rotation = in.rotation();
 }
 
 void pack(const Object& v, wire::Object& out) {
@@ -291,6 +323,7 @@ void pack(const SceneDelta& v, wire::SceneDelta& out) {
     pack_table(v.materials, *out.mutable_materials());
     pack_table(v.lights, *out.mutable_lights());
     pack_table(v.cameras, *out.mutable_cameras());
+    pack(v.environment, *out.mutable_environment());
 }
 void unpack(const wire::SceneDelta& in, SceneDelta& v) {
     if (in.next_version() <= in.base_version())
@@ -304,6 +337,7 @@ void unpack(const wire::SceneDelta& in, SceneDelta& v) {
     unpack_table(in.materials(), v.materials);
     unpack_table(in.lights(), v.lights);
     unpack_table(in.cameras(), v.cameras);
+    unpack(in.environment(), v.environment);
 }
 
 void pack(const SceneUpdate& v, wire::SceneUpdate& out) {

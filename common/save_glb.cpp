@@ -180,7 +180,7 @@ private:
     }
 
     void add_material(const Material& m) {
-        Json pbr{{"baseColorFactor", {m.base_color.x, m.base_color.y, m.base_color.z, 1}},
+        Json pbr{{"baseColorFactor", {m.base_color.x, m.base_color.y, m.base_color.z, m.alpha}},
                  {"metallicFactor", m.metallic},
                  {"roughnessFactor", m.roughness}};
         Json out{{"name", m.name}, {"doubleSided", m.two_sided_emission}};
@@ -196,7 +196,37 @@ private:
             use("KHR_materials_emissive_strength");
         }
         out["pbrMetallicRoughness"] = std::move(pbr);
+        add_extension(out, "KHR_materials_specular", "specularFactor", m.specular, 1);
+        add_extension(out, "KHR_materials_ior", "ior", m.ior, 1.5f);
+        add_transmission(m, out);
+        if (m.normal_map.texture >= 0) {
+            out["normalTexture"] = texture_info(m.normal_map);
+            out["normalTexture"]["scale"] = m.normal_scale;
+        }
+        if (m.alpha_mode != AlphaMode::opaque)
+            out["alphaMode"] = m.alpha_mode == AlphaMode::mask ? "MASK" : "BLEND";
+        if (m.alpha_mode == AlphaMode::mask) out["alphaCutoff"] = m.alpha_cutoff;
         append("materials", std::move(out));
+    }
+
+    /// Writes a value where it is not the one that absence means.
+    void add_extension(Json& material, const char* extension, const char* key, float value,
+                       float absent) {
+        if (value == absent) return;
+        material["extensions"][extension][key] = value;
+        use(extension);
+    }
+
+    void add_transmission(const Material& m, Json& out) {
+        add_extension(out, "KHR_materials_transmission", "transmissionFactor", m.transmission, 0);
+        if (m.transmission_map.texture >= 0) {
+            out["extensions"]["KHR_materials_transmission"]["transmissionTexture"] =
+                texture_info(m.transmission_map);
+            use("KHR_materials_transmission");
+        }
+        // Any thickness says that it is a body, not a pane.
+        if (m.transmission > 0 && !m.thin_walled)
+            add_extension(out, "KHR_materials_volume", "thicknessFactor", 1, 0);
     }
 
     /// glTF puts materials into meshes, so each object is a mesh; those of one Mesh share its data.

@@ -33,14 +33,19 @@ bool is_finite(const mat4& m) {
 
 void validate_material(const Scene& scene, std::size_t i) {
     const Material& m = scene.materials[i];
-    for (const TextureMap* map : {&m.base_color_map, &m.metallic_roughness_map, &m.emission_map}) {
+    for (const TextureMap* map : {&m.base_color_map, &m.metallic_roughness_map, &m.transmission_map,
+                                  &m.emission_map, &m.normal_map}) {
         require(map->texture >= -1 && map->texture < std::int64_t(scene.textures.size()),
                 "material", i, "texture index out of range");
         require(is_finite(*map), "material", i, "texture transform is not finite");
     }
     require(tessera::is_finite(m.base_color) && tessera::is_finite(m.emission) &&
-                std::isfinite(m.metallic) && std::isfinite(m.roughness),
+                std::isfinite(m.metallic) && std::isfinite(m.roughness) &&
+                std::isfinite(m.specular) && std::isfinite(m.transmission) &&
+                std::isfinite(m.normal_scale) && std::isfinite(m.alpha) &&
+                std::isfinite(m.alpha_cutoff),
             "material", i, "values are not finite");
+    require(m.ior >= 1 && std::isfinite(m.ior), "material", i, "index of refraction is below 1");
 }
 
 }  // namespace
@@ -85,6 +90,11 @@ void validate(const Scene& scene) {
                     tessera::is_finite(camera.up) && std::isfinite(camera.fov_y),
                 "camera", i, "values are not finite");
     }
+    const Environment& environment = scene.environment;
+    require(environment.texture >= -1 &&
+                environment.texture < std::int64_t(scene.textures.size()) &&
+                tessera::is_finite(environment.radiance) && std::isfinite(environment.rotation),
+            "environment", 0, "texture index is out of range or values are not finite");
 }
 
 }  // namespace tessera

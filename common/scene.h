@@ -27,7 +27,11 @@ struct TextureMap {
     bool operator==(const TextureMap&) const = default;
 };
 
-/// Metallic-roughness surface. MTL's Kd is base_color with metallic 0 and roughness 1 (Lambert).
+/// What alpha means: nothing; the surface is there or not; the share of it that is there.
+enum class AlphaMode : std::uint8_t { opaque, mask, blend };
+
+/// glTF's metallic-roughness surface with its extensions. MTL's Kd is base_color with metallic and
+/// specular 0: exactly Lambert.
 struct Material {
     std::string name;
     vec3 base_color{0.8f};
@@ -35,9 +39,19 @@ struct Material {
     float metallic = 0;
     float roughness = 1;
     TextureMap metallic_roughness_map{};  ///< blue: metallic, green: roughness
-    vec3 emission{0};                     ///< radiance
+    float specular = 0;      ///< strength of the reflecting coat of what is no metal; glTF's is 1
+    float ior = 1.5f;        ///< index of refraction, at least 1
+    float transmission = 0;  ///< share of light that passes through as through smooth glass
+    TextureMap transmission_map{};  ///< red
+    bool thin_walled = false;       ///< light that passes is not refracted: a pane, no body
+    vec3 emission{0};               ///< radiance
     TextureMap emission_map{};
     bool two_sided_emission = false;  ///< else only the front (counter-clockwise) side emits
+    TextureMap normal_map{};          ///< tangent space: red along u, green against v
+    float normal_scale = 1;           ///< how much red and green count
+    AlphaMode alpha_mode = AlphaMode::opaque;
+    float alpha = 1;            ///< times alpha of base_color_map: how much of the surface is there
+    float alpha_cutoff = 0.5f;  ///< mask: with less alpha than this the surface is not there
 
     bool operator==(const Material&) const = default;
 };
@@ -74,6 +88,16 @@ struct Light {
     bool operator==(const Light&) const = default;
 };
 
+/// Light from infinitely far away on all sides: radiance, times that of a float texture if there is
+/// one. Its middle column lies towards -z, its top towards +y (latitude by longitude).
+struct Environment {
+    vec3 radiance{0};
+    std::int32_t texture = -1;  ///< index into Scene::textures
+    float rotation = 0;         ///< around +y, counter-clockwise from above, radians
+
+    bool operator==(const Environment&) const = default;
+};
+
 struct Camera {
     std::string name;
     vec3 eye{0, 0, 1};
@@ -92,6 +116,7 @@ struct Scene {
     std::vector<Material> materials;
     std::vector<Light> lights;
     std::vector<Camera> cameras;
+    Environment environment;
 
     bool operator==(const Scene&) const = default;
 };

@@ -38,6 +38,7 @@ Camera framing_camera(const Box& bounds) {
 
 bool has_light(const Scene& scene) {
     const auto shines = [](const vec3& v) { return max_component(v) > 0; };
+    if (shines(scene.environment.radiance)) return true;
     for (const Light& light : scene.lights)
         if (shines(light.intensity)) return true;
     for (const Instance& instance : scene.instances)

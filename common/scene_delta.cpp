@@ -48,7 +48,8 @@ SceneDelta diff(const SceneVersion& base, const SceneVersion& next) {
             .instances = diff_table(base.scene.instances, next.scene.instances),
             .materials = diff_table(base.scene.materials, next.scene.materials),
             .lights = diff_table(base.scene.lights, next.scene.lights),
-            .cameras = diff_table(base.scene.cameras, next.scene.cameras)};
+            .cameras = diff_table(base.scene.cameras, next.scene.cameras),
+            .environment = next.scene.environment};
 }
 
 SceneVersion apply(const SceneVersion& base, const SceneDelta& delta) {
@@ -63,7 +64,8 @@ SceneVersion apply(const SceneVersion& base, const SceneDelta& delta) {
                   .instances = apply_table("instances", base.scene.instances, delta.instances),
                   .materials = apply_table("materials", base.scene.materials, delta.materials),
                   .lights = apply_table("lights", base.scene.lights, delta.lights),
-                  .cameras = apply_table("cameras", base.scene.cameras, delta.cameras)}};
+                  .cameras = apply_table("cameras", base.scene.cameras, delta.cameras),
+                  .environment = delta.environment}};
     validate(next.scene);
     return next;
 }

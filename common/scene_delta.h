@@ -32,6 +32,7 @@ struct SceneDelta {
     TableDelta<Material> materials;
     TableDelta<Light> lights;
     TableDelta<Camera> cameras;
+    Environment environment;  ///< of the next version
 
     bool operator==(const SceneDelta&) const = default;
 };

@@ -4,6 +4,8 @@
 
 #include "common/check.h"
 #include "common/generator.h"
+#include "common/image_io.h"
+#include "common/text_reader.h"
 
 namespace tessera {
 namespace {
@@ -51,6 +53,24 @@ LoadedScene load_scene(const std::string& file_or_name) {
             fmt::format("{}: no such file; check the name, or use a generated scene ({})",
                         file_or_name, generator_names()));
     return format->load(file);
+}
+
+void set_environment(SceneBundle& bundle, const std::string& file_or_radiance) {
+    Environment& environment = bundle.scene.environment;
+    double radiance = 0;
+    if (parse_number(file_or_radiance, radiance)) {
+        environment.radiance = vec3(float(radiance));
+        return;
+    }
+    const Image image = read_image(file_or_radiance);
+    Texture picture{.width = std::uint32_t(image.size.width),
+                    .height = std::uint32_t(image.size.height),
+                    .rgba = {}};
+    for (std::size_t i = 0; i < image.size.pixels(); ++i)
+        picture.radiance.emplace_back(image.data[3 * i], image.data[3 * i + 1],
+                                      image.data[3 * i + 2]);
+    environment.texture = std::int32_t(add_texture(bundle, picture));
+    environment.radiance = vec3(1);
 }
 
 }  // namespace tessera

@@ -26,8 +26,13 @@ LoadedScene load_obj(const std::filesystem::path& file);
 LoadedScene load_ply(const std::filesystem::path& file);
 LoadedScene load_gltf(const std::filesystem::path& file);
 
-/// Writes a binary glTF with everything a Scene holds. Throws UserError when the file cannot be
+/// Writes a binary glTF with everything a Scene holds but its environment, for which glTF has no
+/// place. Throws UserError when the file cannot be
 /// written.
 void save_glb(const SceneBundle& bundle, const std::filesystem::path& file);
+
+/// Lights the scene from all sides: `file_or_radiance` is a number, the radiance, or a picture by
+/// latitude and longitude. Throws UserError.
+void set_environment(SceneBundle& bundle, const std::string& file_or_radiance);
 
 }  // namespace tessera

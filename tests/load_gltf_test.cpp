@@ -175,7 +175,7 @@ TEST_F(LoadGltf, materials_lights_and_cameras) {
          "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 1], "metallicFactor": 0.5,
                                   "roughnessFactor": 0.25},
          "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}}},
-        {"name": "unused", "alphaMode": "BLEND"}])");
+        {"name": "unused", "extensions": {"KHR_materials_sheen": {}}}])");
     file_.primitive({{"POSITION", file_.positions(square)}}, -1, 4, 0);
     file_.json["nodes"] = Json::parse(R"([
         {"mesh": 0, "children": [1, 2]},
@@ -205,7 +205,7 @@ TEST_F(LoadGltf, materials_lights_and_cameras) {
     EXPECT_EQ(scene.lights[0].intensity, vec3(10, 5, 0));
     EXPECT_EQ(scene.lights[0].position, vec3(0, 5, 0));
     EXPECT_TRUE(has_note(loaded.notes, "1 unused material"));
-    EXPECT_TRUE(has_note(loaded.notes, "alpha"));
+    EXPECT_TRUE(has_note(loaded.notes, "sheen"));
 }
 
 TEST_F(LoadGltf, textures_keep_transform_and_wrap) {

@@ -40,6 +40,8 @@ TEST(Mesh, decoding_undoes_encoding) {
         ASSERT_EQ(decode_mesh(encode(mesh)), mesh);
     }
     EXPECT_EQ(decode_texture(encode(small_texture())), small_texture());
+    const Texture light{.width = 2, .height = 1, .rgba = {}, .radiance = {vec3(1e9f), vec3(0.1f)}};
+    EXPECT_EQ(decode_texture(encode(light)), light);
 }
 
 TEST(Mesh, equal_meshes_have_equal_bytes) {

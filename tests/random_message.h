@@ -87,9 +87,22 @@ private:
                 .metallic = real(),
                 .roughness = real(),
                 .metallic_roughness_map = map(),
+                .specular = real(),
+                .ior = real(),
+                .transmission = real(),
+                .transmission_map = map(),
+                .thin_walled = coin(),
                 .emission = vector(),
                 .emission_map = map(),
-                .two_sided_emission = coin()};
+                .two_sided_emission = coin(),
+                .normal_map = map(),
+                .normal_scale = real(),
+                .alpha_mode = one_of(AlphaMode::blend),
+                .alpha = real(),
+                .alpha_cutoff = real()};
+    }
+    Environment environment() {
+        return {.radiance = vector(), .texture = int(below(5)) - 1, .rotation = real()};
     }
     Object make_one(Object) {
         return {.name = name(),
@@ -163,6 +176,7 @@ private:
         out.delta.instances = table<Instance>();
         out.delta.materials = table<Material>();
         out.delta.lights = table<Light>();
+        out.delta.environment = environment();
         out.delta.cameras = table<Camera>();
         return out;
     }

@@ -160,7 +160,8 @@ TEST(Renderer, PlansWhatTheSceneNeeds) {
         });
     };
     EXPECT_TRUE(has(renderer.plan().modelled, "area lights: 2"));
-    EXPECT_TRUE(has(renderer.plan().left_out, "glossy reflection"));
+    EXPECT_TRUE(has(renderer.plan().modelled, "glossy reflection: 1"));
+    EXPECT_TRUE(has(renderer.plan().left_out, "glass"));
     EXPECT_TRUE(has(renderer.plan().left_out, "textures"));
 }
 

@@ -154,10 +154,10 @@ TEST(Sampling, DistributionChoosesByWeight) {
 TEST(Sampling, BsdfFollowsItsDensity) {
     const vec3 n = normalize(vec3(0.3f, -0.5f, 0.8f));
     const vec3 wo = normalize(vec3(0.1f, 0.2f, 0.9f));
-    const Bsdf bsdf = make_bsdf(vec3(0.7f), 0, 1);
+    const Bsdf bsdf = make_bsdf({.base_color = vec3(0.7f)}, 1);
     expect_directions(
         [&](auto& r) -> std::optional<vec3> {
-            const auto s = sample(bsdf, n, wo, r.next_2d());
+            const auto s = sample(bsdf, n, wo, r.next(), r.next_2d());
             if (!s) return {};
             EXPECT_NEAR(s->pdf, pdf(bsdf, n, wo, s->wi), 1e-4f);
             const vec3 weight = eval(bsdf, n, wo, s->wi) * dot(n, s->wi) / s->pdf;
@@ -335,6 +335,63 @@ TEST(Sampling, SetsAndTheirUnionHaveLowDiscrepancy) {
             }
             EXPECT_LT(of_sets, 0.35 * random_expectation(size)) << n << " " << size;
             EXPECT_LT(of_union, 0.1 * random_expectation(n * n * size)) << n << " " << size;
+        }
+    }
+}
+
+/// Small lamps by chance; some shine all around.
+std::vector<LightBounds> random_lights(std::size_t count) {
+    RandomPoints r(5);
+    std::vector<LightBounds> lights(count);
+    for (LightBounds& light : lights) {
+        const vec3 place(r.next(), r.next(), r.next());
+        light.box.add(place);
+        light.box.add(place + 0.02f * vec3(r.next(), r.next(), r.next()));
+        light.axis = sample_sphere(r.next_2d());
+        light.cos_spread = r.next() < 0.2f ? -1.0f : 1.0f;
+        light.power = r.next();
+    }
+    return lights;
+}
+
+TEST(LightTree, TakesLightsAsOftenAsItSays) {
+    const std::vector<LightBounds> lights = random_lights(57);
+    const LightTree tree(lights);
+    RandomPoints r(6);
+    for (const vec3& p : {vec3(0.5f), vec3(3, 0, 0), vec3(0.1f, 0.2f, 0.9f)}) {
+        std::vector<double> observed(lights.size()), expected;
+        double sum = 0;
+        constexpr int samples = 20000;
+        for (int i = 0; i < samples; ++i) {
+            const auto choice = tree.sample(p, r.next());
+            if (!choice) continue;
+            ++observed[choice->index];
+            EXPECT_NEAR(choice->probability, tree.probability(p, choice->index),
+                        1e-4f * choice->probability);
+        }
+        for (std::uint32_t i = 0; i < lights.size(); ++i) {
+            expected.push_back(samples * double(tree.probability(p, i)));
+            sum += double(tree.probability(p, i));
+        }
+        EXPECT_LT(sum, 1.0001);
+        // Less than one: a half may look as if it shone where neither of its own halves does.
+        EXPECT_GT(sum, 0.5);
+        expect_frequencies(observed, expected);
+    }
+}
+
+TEST(LightTree, LeavesOutOnlyWhatCannotShine) {
+    const std::vector<LightBounds> lights = random_lights(40);
+    const LightTree tree(lights);
+    RandomPoints r(7);
+    for (int i = 0; i < 500; ++i) {
+        const vec3 p = 4.0f * vec3(r.next(), r.next(), r.next()) - 1.5f;
+        for (std::uint32_t k = 0; k < lights.size(); ++k) {
+            const LightBounds& light = lights[k];
+            const bool shines = light.cos_spread < 0 ||
+                                dot(light.axis, p - light.box.hi) > 0.001f ||
+                                dot(light.axis, p - light.box.lo) > 0.001f;
+            EXPECT_TRUE(!shines || tree.probability(p, k) > 0) << i << " " << k;
         }
     }
 }

@@ -21,7 +21,7 @@ struct CornerValues {
 
 bool is_textured(const Material& m) {
     return m.base_color_map.texture >= 0 || m.metallic_roughness_map.texture >= 0 ||
-           m.emission_map.texture >= 0;
+           m.emission_map.texture >= 0 || m.normal_map.texture >= 0;
 }
 
 /// The corners of an object's triangles by material: what glTF keeps of a mesh, which is neither
@@ -120,9 +120,19 @@ TEST(SaveGlb, everything_a_scene_holds_comes_back) {
                  .base_color_map = {.texture = colours, .offset = {0.1f, 0.2f}, .rotation = 0.7f},
                  .metallic = 0.6f,
                  .metallic_roughness_map = {.texture = data, .scale = {2, 3}},
+                 .specular = 0.7f,
+                 .ior = 1.3f,
+                 .transmission = 0.4f,
+                 .transmission_map = {.texture = data},
+                 .thin_walled = true,
                  .emission = {17.3f, 0.01f, 4},
                  .emission_map = {.texture = colours},
-                 .two_sided_emission = true});
+                 .two_sided_emission = true,
+                 .normal_map = {.texture = data},
+                 .normal_scale = 0.6f,
+                 .alpha_mode = AlphaMode::mask,
+                 .alpha = 0.8f,
+                 .alpha_cutoff = 0.3f});
     Mesh mesh;
     mesh.positions = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0.3f}, {0, 1, 0}};
     mesh.normals = {{0, 0, 1}, {0, 0.6f, 0.8f}, {0, 0, 1}, {0.6f, 0, 0.8f}};

@@ -8,6 +8,7 @@ struct EyePath {
     std::uint32_t mirrors = 0;
     float length = 0;
     vec3 throughput{1};
+    Sampler sampler;
 };
 
 /// Rays through a rim pixel beside its own.
@@ -51,23 +52,25 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
     while (!paths.empty()) {
         std::size_t kept = 0;
         for (std::size_t i = 0; i < paths.size(); ++i) {
-            if (!hits[i].valid()) continue;
+            if (!hits[i].valid()) {
+                pixels[paths[i].pixel].emitted +=
+                    paths[i].throughput * world.lights.sky().radiance(rays[i].dir);
+                continue;
+            }
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             EyePath path = paths[i];
             path.length += hits[i].t * length(rays[i].dir);
             pixels[path.pixel].emitted += path.throughput * s.emission;
-            path.throughput *= s.bsdf.reflectance;
-            if (!s.bsdf.specular()) {
+            if (!meets_delta(s.bsdf, path.sampler, path.throughput)) {
                 arrive(path, hits[i], s);
                 continue;
             }
-            const auto reflected = sample(s.bsdf, s.n, s.wo, vec2(0));
-            if (!reflected || dot(reflected->wi, s.ng) <= 0 || ++path.mirrors > max_mirrors)
+            if (!pass_delta(s, Carries::radiance, path.sampler, path.throughput, rays[kept]) ||
+                ++path.mirrors > max_mirrors)
                 continue;
-            paths[kept] = path;
-            rays[kept++] = {s.org, 0, reflected->wi, infinity};
+            paths[kept++] = path;
         }
-        paths.resize(kept);
+        paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
         rays.resize(kept);
         hits.resize(kept);
         world.tracer.closest_hits(rays, hits);
@@ -106,9 +109,9 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
     for (const std::uint32_t pixel : rims) {
         pixels[pixel].emitted *= share;
         for (std::uint32_t k = 0; k < rim_rays; ++k) {
-            Sampler sampler = tile.sampler(pixel, 4, tile.pass * rim_rays + k);
-            paths.push_back({.pixel = pixel, .throughput = vec3(share)});
-            rays.push_back(camera.ray(vec2(tile.raster(pixel)) + sampler.next()));
+            const Sampler sampler = tile.sampler(pixel, 4, tile.pass * rim_rays + k);
+            paths.push_back({.pixel = pixel, .throughput = vec3(share), .sampler = sampler});
+            rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
         }
     }
     return follow(world, std::move(paths), std::move(rays), pixels,
@@ -116,6 +119,25 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
 }
 
 }  // namespace
+
+bool meets_delta(const Bsdf& bsdf, Sampler& sampler, vec3& carried) {
+    const float chance = bsdf.delta_share;
+    if (chance == 0 || chance == 1) return chance == 1;
+    const bool meets = sampler.next().x < chance;
+    carried /= meets ? chance : 1 - chance;
+    return meets;
+}
+
+bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray) {
+    const bool choice = s.bsdf.delta != Bsdf::Delta::mirror;
+    const auto passed = sample_delta(s.bsdf, s.n, s.wo, choice ? sampler.next().x : 0);
+    // A shading normal may send light through the surface that shall reflect it.
+    if (!passed || (dot(passed->wi, s.ng) > 0) != (dot(passed->wi, s.n) > 0)) return false;
+    carried *= passed->weight;
+    if (what == Carries::radiance) carried *= passed->radiance_scale;
+    ray = {s.leave(passed->wi), 0, passed->wi, infinity};
+    return true;
+}
 
 Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
     const ivec2 at = raster(pixel);
@@ -128,19 +150,19 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
     for (const std::uint32_t pixel : in_blocks(tile.rect)) {
-        paths.push_back({.pixel = pixel});
-        rays.push_back(camera.ray(vec2(tile.raster(pixel)) + tile.sampler(pixel, 0).next()));
+        paths.push_back({.pixel = pixel, .sampler = tile.sampler(pixel, 0)});
+        rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
     }
     receivers.clear();
     const std::uint64_t traced =
         follow(world, std::move(paths), std::move(rays), pixels,
                [&](const EyePath& path, const Hit& hit, const SurfacePoint& s) {
                    PixelSample& pixel = pixels[path.pixel];
-                   pixel.albedo = path.throughput;
+                   pixel.albedo = path.throughput * s.bsdf.reflectance(world.filtered);
                    pixel.normal = s.n;
                    pixel.depth = path.length;
                    pixel.surface = surface_id(world, hit, path.mirrors);
-                   receivers.push_back({path.pixel, s});
+                   receivers.push_back({path.pixel, s, path.throughput});
                });
     // Blocks and mirrors shuffle the pixels: put them back in order.
     std::sort(receivers.begin(), receivers.end(),

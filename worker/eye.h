@@ -1,5 +1,6 @@
-// Eye rays of a tile: one jittered ray per pixel, followed through mirrors to the first surface
-// that scatters, and more on the rims of lamps. What both integrators start from and fill in.
+// Eye rays of a tile: one jittered ray per pixel, followed through mirrors and glass to the first
+// surface that scatters, and more on the rims of lamps. What both integrators start from and fill
+// in.
 #pragma once
 
 #include <vector>
@@ -12,19 +13,22 @@
 
 namespace tessera {
 
-/// Mirrors in a row; a ray that meets more is dropped.
-inline constexpr int max_mirrors = 25;
+/// Ideal reflections and refractions in a row; a ray that meets more is dropped.
+inline constexpr std::uint32_t max_mirrors = 25;
 
 /// All that is needed to trace light in a scene.
 struct World {
     const Surfaces& surfaces;
     const Lights& lights;
     const Tracer& tracer;
+    /// Lobes whose light PixelSample::albedo scales: all of them, or those lit by VPLs, and then
+    /// the rest goes to `emitted`.
+    Lobes filtered = Lobes::broad;
 };
 
 /// One pixel in one pass. Its radiance is emitted + albedo / pi * (direct + indirect).
 struct PixelSample {
-    vec3 emitted{0};   ///< radiance seen directly or in mirrors
+    vec3 emitted{0};   ///< radiance seen directly, in mirrors and in glossy reflection
     vec3 albedo{0};    ///< at the first diffuse hit, times the throughput of mirrors before it
     vec3 direct{0};    ///< irradiance there, straight from lights
     vec3 indirect{0};  ///< irradiance there, from surfaces
@@ -37,6 +41,7 @@ struct PixelSample {
 struct Receiver {
     std::uint32_t pixel = 0;  ///< index within the tile
     SurfacePoint surface;
+    vec3 throughput{1};  ///< from radiance that leaves there to the pixel's
 };
 
 /// Which pixels, in which pass of which frame.
@@ -56,6 +61,17 @@ struct TilePass {
     }
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
 };
+
+/// Whether a path goes on by ideal reflection or refraction; chosen by chance where `bsdf` scatters
+/// otherwise, too. What it carries is made up for the choice.
+bool meets_delta(const Bsdf& bsdf, Sampler& sampler, vec3& carried);
+
+/// Paths from the eye carry the radiance that comes their way, paths from lights flux: they differ
+/// where light is refracted (Veach 1997, 5.2).
+enum class Carries : std::uint8_t { radiance, flux };
+
+/// Sends a path on by the ideal lobes of `s`; false when it ends.
+bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray);
 
 /// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the
 /// receivers in the order of their pixels. Returns the number of rays traced.

@@ -5,9 +5,11 @@
 namespace tessera {
 namespace {
 
-/// Candidates among which one direct light sample is chosen. One lamp needs no choice; more than
-/// four cost more than they gain.
+/// Candidates among which one direct light sample is chosen. One lamp needs no choice, the sky
+/// does; more than four cost more than they gain, more than two where a tree has chosen well.
 std::uint32_t direct_candidates(const World& world) {
+    if (world.lights.has_tree()) return 2;
+    if (!world.lights.sky().empty()) return 4;
     return std::uint32_t(std::clamp<std::size_t>(world.lights.size() / 2, 1, 4));
 }
 
@@ -38,22 +40,43 @@ float fraction(float x) { return x - std::floor(x); }
 
 struct DirectSample {
     LightSample light;
-    vec3 irradiance{0};
+    vec3 contribution{0};
 };
 
 /// How far a surface can be and exceed the bound of the geometry term, along a ray that leaves at
 /// an angle of this cosine.
 float reach(float cosine, float max_geometry) { return std::sqrt(cosine / max_geometry); }
 
-/// Share of the emission in a direction that is left to direct sampling, where a short scattered
-/// ray finds the lamp, too. `light_pdf` is that of one candidate.
-float direct_weight(const World& world, float light_pdf, float cosine) {
-    return power_heuristic(float(direct_candidates(world)) * light_pdf,
-                           cosine_hemisphere_pdf(cosine));
+/// Share of the emission in a direction that is left to direct sampling, where a scattered ray of
+/// density `ray_pdf` finds the lamp, too. `light_pdf` is that of one candidate.
+float direct_weight(const World& world, float light_pdf, float ray_pdf) {
+    return power_heuristic(float(direct_candidates(world)) * light_pdf, ray_pdf);
+}
+
+/// A vertex of a path from the eye, and what the light that its lobes reflect brings there.
+struct LitVertex {
+    SurfacePoint at;
+    vec3 broad{1};   ///< from irradiance, weighed as broad lobes do, to the sum
+    vec3 narrow{0};  ///< from the radiance that narrow and ideal lobes reflect to the sum
+};
+
+/// Light from `light` per irradiance across its direction, but for what scattered rays bring.
+vec3 response(const World& world, const IgiConfig& config, const LitVertex& v,
+              const LightSample& light, float cosine) {
+    const SurfacePoint& s = v.at;
+    const bool near = !light.punctual && light.distance < reach(cosine, config.max_geometry);
+    vec3 sum =
+        v.broad * (near ? direct_weight(world, light.pdf, cosine_hemisphere_pdf(cosine)) : 1.0f);
+    if (!s.bsdf.glossy) return sum;
+    sum *= shape(s.bsdf, s.n, s.wo, light.wi);
+    if (v.narrow == vec3(0) || !s.bsdf.has_narrow()) return sum;
+    const float ray_pdf = pdf(s.bsdf, s.n, s.wo, light.wi, Lobes::narrow);
+    const float weight = light.punctual ? 1 : direct_weight(world, light.pdf, ray_pdf);
+    return sum + v.narrow * eval(s.bsdf, s.n, s.wo, light.wi, Lobes::narrow) * weight;
 }
 
 /// Candidate `i`: a shift of the pixel's own point, so that the candidates spread over the lights.
-DirectSample direct_candidate(const World& world, const IgiConfig& config, const SurfacePoint& s,
+DirectSample direct_candidate(const World& world, const IgiConfig& config, const LitVertex& v,
                               std::uint32_t i, float u_light, const vec2& u) {
     // Shifts by the plastic number's powers fill the square evenly (Roberts, "The Unreasonable
     // Effectiveness of Quasirandom Sequences", 2018).
@@ -61,18 +84,17 @@ DirectSample direct_candidate(const World& world, const IgiConfig& config, const
                      fraction(u.y + float(i) * 0.56984029f));
     const float stratum =
         std::min((float(i) + u_light) / float(direct_candidates(world)), 0x1.fffffep-1f);
-    const auto light = world.lights.sample(s.p, stratum, place);
+    const auto light = world.lights.sample(v.at.p, stratum, place);
     if (!light) return {};
-    const float cosine = dot(s.n, light->wi);
-    if (!(cosine > 0 && dot(s.ng, light->wi) > 0)) return {};
-    const bool near = !light->punctual && light->distance < reach(cosine, config.max_geometry);
-    const float weight = near ? direct_weight(world, light->pdf, cosine) : 1;
-    return {*light, light->radiance * (cosine / light->pdf * weight)};
+    const float cosine = dot(v.at.n, light->wi);
+    if (!(cosine > 0 && dot(v.at.ng, light->wi) > 0)) return {};
+    return {*light,
+            light->radiance * (cosine / light->pdf) * response(world, config, v, *light, cosine)};
 }
 
-/// Adds the shadow ray to one point on a light; `albedo` scales what it brings.
-void sample_direct(const World& world, const IgiConfig& config, const SurfacePoint& s,
-                   std::uint32_t pixel, const vec3& albedo, Sampler& sampler, ShadowBatch& batch) {
+/// Adds the shadow ray to one point on a light.
+void sample_direct(const World& world, const IgiConfig& config, const LitVertex& v,
+                   std::uint32_t pixel, Sampler& sampler, ShadowBatch& batch) {
     const vec2 u_choice = sampler.next();
     const vec2 u_place = sampler.next();
     const std::uint32_t candidates = direct_candidates(world);
@@ -81,8 +103,8 @@ void sample_direct(const World& world, const IgiConfig& config, const SurfacePoi
     float total = 0;
     float u = u_choice.y;
     for (std::uint32_t i = 0; i < candidates; ++i) {
-        const DirectSample c = direct_candidate(world, config, s, i, u_choice.x, u_place);
-        const float weight = mean_component(c.irradiance);
+        const DirectSample c = direct_candidate(world, config, v, i, u_choice.x, u_place);
+        const float weight = mean_component(c.contribution);
         if (!(weight > 0) || !std::isfinite(weight)) continue;
         // Reservoir of one, with the same random number stretched again after each decision.
         total += weight;
@@ -96,8 +118,8 @@ void sample_direct(const World& world, const IgiConfig& config, const SurfacePoi
         }
     }
     if (total <= 0) return;
-    batch.add(shadow_ray(s, chosen.light), pixel,
-              albedo * chosen.irradiance * (total / (chosen_weight * float(candidates))));
+    batch.add(shadow_ray(v.at, chosen.light), pixel,
+              chosen.contribution * (total / (chosen_weight * float(candidates))));
 }
 
 /// Adds the shadow ray to one VPL of all sets, in place of a whole set; `throughput` scales what it
@@ -115,66 +137,141 @@ void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint
     if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
 }
 
-/// A path of short rays: picks up what the bound cuts off.
-struct ShortPath {
+/// The kind of lobe that sent a ray.
+enum class Via : std::uint8_t { broad, narrow, ideal };
+
+/// A path of scattered rays: picks up what VPLs leave out.
+struct RestPath {
     std::uint32_t pixel = 0;
-    std::uint32_t bounces = 0;  ///< reflections between the receiver and `at`
+    std::uint32_t bounces = 0;  ///< reflections between the receiver and its vertex, but for ideal
+    std::uint32_t mirrors = 0;  ///< ideal reflections and refractions in a row
     Sampler sampler;
-    SurfacePoint at;
-    vec3 throughput{1};  ///< from irradiance at `at` to the receiver's
+    LitVertex vertex;
+    float whole = pi;  ///< throughput of a path that has lost nothing
+    // Of the ray under way:
+    Via via = Via::broad;
+    vec3 throughput{0};  ///< from the radiance that it finds to the sum
+    float pdf = 0;       ///< unless by an ideal lobe
+    float reach = 0;     ///< by a broad lobe: how far it finds what the bound takes away
 };
 
 /// Russian roulette by what the path carries, once it has left its first ray's end.
-bool survives(ShortPath& path) {
+bool survives(RestPath& path) {
     if (path.bounces < 2) return true;
-    const float survival = std::min(max_component(path.throughput), 0.95f);
+    const float survival = std::min(max_component(path.throughput) / path.whole, 0.95f);
     if (!(path.sampler.next().x < survival)) return false;
     path.throughput /= survival;
     return true;
 }
 
-/// Sends each path's next ray, no farther than the bound can be exceeded; paths whose ray would
-/// leave through the surface end.
-void aim(float max_geometry, std::vector<ShortPath>& paths, std::vector<Ray>& rays) {
+/// Sends the ray of a broad lobe; it need go no farther than the bound can be exceeded where
+/// nothing but broad lobes can be found. False when the path ends.
+bool aim_broad(const IgiConfig& config, RestPath& path, Ray& ray) {
+    const SurfacePoint& s = path.vertex.at;
+    const vec3 local = sample_cosine_hemisphere(path.sampler.next());
+    const vec3 dir = Frame(s.n).world_from_local(local);
+    if (!(dot(dir, s.ng) > 0)) return false;
+    path.via = Via::broad;
+    path.throughput = path.vertex.broad * pi;
+    if (s.bsdf.glossy) path.throughput *= shape(s.bsdf, s.n, s.wo, dir);
+    path.pdf = cosine_hemisphere_pdf(local.z);
+    path.reach = reach(local.z, config.max_geometry);
+    ray = {s.org, 0, dir, config.has_rest ? infinity : path.reach};
+    return true;
+}
+
+bool aim_narrow(RestPath& path, Ray& ray) {
+    const SurfacePoint& s = path.vertex.at;
+    const auto scattered = sample(s.bsdf, s.n, s.wo, 0, path.sampler.next(), Lobes::narrow);
+    if (!scattered || !(dot(scattered->wi, s.ng) > 0)) return false;
+    path.throughput = path.vertex.narrow * scattered->weight;
+    path.via = Via::narrow;
+    path.pdf = scattered->pdf;
+    ray = {s.org, 0, scattered->wi, infinity};
+    return true;
+}
+
+bool aim_ideal(RestPath& path, Ray& ray) {
+    path.throughput = path.vertex.narrow;
+    path.via = Via::ideal;
+    return ++path.mirrors <= max_mirrors &&
+           pass_delta(path.vertex.at, Carries::radiance, path.sampler, path.throughput, ray);
+}
+
+/// Chooses one kind of lobe by what the path carries through each, and sends the ray.
+bool aim(const IgiConfig& config, RestPath& path, Ray& ray) {
+    LitVertex& v = path.vertex;
+    const Bsdf& bsdf = v.at.bsdf;
+    const vec3 narrow = bsdf.has_narrow() ? bsdf.reflectance(Lobes::narrow) : vec3(0);
+    const float chances[3] = {max_component(v.broad), max_component(v.narrow * narrow),
+                              max_component(v.narrow) * bsdf.delta_share};
+    const float total = chances[0] + chances[1] + chances[2];
+    if (!(total > 0)) return false;
+    if (chances[0] == total) return aim_broad(config, path, ray);
+    const float u = path.sampler.next().x * total;
+    const int kind = u < chances[0] ? 0 : u < chances[0] + chances[1] ? 1 : 2;
+    const float made_up = total / chances[kind];
+    v.broad *= made_up;
+    v.narrow *= made_up;
+    if (kind == 0) return aim_broad(config, path, ray);
+    return kind == 1 ? aim_narrow(path, ray) : aim_ideal(path, ray);
+}
+
+/// Sends each path's next ray; paths that end leave the list.
+void aim_all(const IgiConfig& config, std::vector<RestPath>& paths, std::vector<Ray>& rays) {
     std::size_t kept = 0;
-    rays.clear();
-    for (ShortPath& path : paths) {
-        const SurfacePoint& s = path.at;
-        const vec3 local = sample_cosine_hemisphere(path.sampler.next());
-        const vec3 dir = Frame(s.n).world_from_local(local);
-        if (!(dot(dir, s.ng) > 0) || !survives(path)) continue;
-        rays.push_back({s.org, 0, dir, reach(local.z, max_geometry)});
-        paths[kept++] = path;
-    }
+    rays.resize(paths.size());
+    for (RestPath& path : paths)
+        if (aim(config, path, rays[kept]) && survives(path)) paths[kept++] = path;
     paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
+    rays.resize(kept);
 }
 
 /// Takes in the emission that `ray` found, against the chance that direct sampling finds it. Beside
 /// a lamp its light changes from pixel to pixel: there it stays unfiltered.
-void add_emission(const World& world, const IgiConfig& config, const ShortPath& path,
-                  const Ray& ray, const Hit& hit, const SurfacePoint& s,
-                  std::span<PixelSample> pixels) {
+void add_emission(const World& world, const IgiConfig& config, const RestPath& path, const Hit& hit,
+                  const SurfacePoint& s, vec3 PixelSample::*sum, PixelSample& pixel) {
     if (s.emission == vec3(0)) return;
-    const float light_pdf = world.lights.pdf(path.at.p, hit, s);
-    const float weight = 1 - direct_weight(world, light_pdf, dot(path.at.n, ray.dir));
-    const vec3 e = path.throughput * s.emission * (pi * weight);
-    PixelSample& pixel = pixels[path.pixel];
-    if (path.bounces > 0)
-        pixel.indirect += e;
+    float weight = 1;
+    if (path.via == Via::broad && !(hit.t < path.reach)) return;
+    if (path.via != Via::ideal)
+        weight = 1 - direct_weight(world, world.lights.pdf(path.vertex.at.p, hit, s), path.pdf);
+    const vec3 e = path.throughput * s.emission * weight;
+    if (path.bounces > 0 || path.via != Via::broad || sum == &PixelSample::emitted)
+        pixel.*sum += e;
     else if (hit.t > config.filter_angle * pixel.depth)
         pixel.direct += e;
     else
         pixel.emitted += pixel.albedo / pi * e;
 }
 
-/// Moves `path` on to `s`; false when it carries nothing any more.
-bool advance(ShortPath& path, const IgiConfig& config, const Ray& ray, float t,
+/// Takes in the sky where `ray` left for it; direct sampling has all that broad lobes get.
+void add_sky(const World& world, const RestPath& path, const vec3& dir, vec3& sum) {
+    if (path.via == Via::broad) return;
+    const vec3 radiance = world.lights.sky().radiance(dir);
+    if (radiance == vec3(0)) return;
+    const float weight =
+        path.via == Via::ideal ? 1 : 1 - direct_weight(world, world.lights.sky_pdf(dir), path.pdf);
+    sum += path.throughput * radiance * weight;
+}
+
+/// Moves `path` on to `s`, where `ray` ended; false when it carries nothing any more.
+bool advance(RestPath& path, const IgiConfig& config, const Ray& ray, float t,
              const SurfacePoint& s) {
-    const float geometry = dot(ray.dir, path.at.n) * dot(s.ng, s.wo) / (t * t);
-    path.throughput *= s.bsdf.reflectance * (1 - config.max_geometry / geometry);
-    path.at = s;
-    return !s.bsdf.specular() && max_component(path.throughput) > 0 &&
-           ++path.bounces <= config.bounces;
+    LitVertex& v = path.vertex;
+    v.narrow = s.bsdf.has_rest() ? path.throughput : vec3(0);
+    v.broad = path.throughput * s.bsdf.reflectance() / pi;
+    if (path.via == Via::broad) {
+        const float geometry = dot(ray.dir, v.at.n) * dot(s.ng, s.wo) / (t * t);
+        v.broad *= t < path.reach ? std::max(1 - config.max_geometry / geometry, 0.0f) : 0.0f;
+    }
+    if (path.via != Via::ideal) {
+        ++path.bounces;
+        path.mirrors = 0;
+    }
+    v.at = s;
+    return (max_component(v.broad) > 0 || max_component(v.narrow) > 0) &&
+           path.bounces <= config.bounces;
 }
 
 /// A set's receivers, where they are so many that shadow rays from a VPL pay as one packet: the
@@ -222,6 +319,44 @@ void for_each_packet(std::span<const Receiver* const> receivers, Gather gather) 
             first, std::min<std::size_t>(Targets::max_count, receivers.size() - first))));
 }
 
+/// Follows `paths` to their ends and adds what they find to `sum` of their pixels. Returns the
+/// number of rays traced.
+std::uint64_t follow_rest(const World& world, const IgiConfig& config, const VplSets& sets,
+                          std::vector<RestPath>& paths, std::span<PixelSample> pixels,
+                          vec3 PixelSample::*sum) {
+    std::vector<Ray> rays;
+    std::vector<Hit> hits;
+    ShadowBatch batch;
+    std::uint64_t traced = 0;
+    while (!paths.empty()) {
+        aim_all(config, paths, rays);
+        hits.resize(rays.size());
+        world.tracer.closest_hits(rays, hits);
+        traced += rays.size();
+
+        // Light what they found: it emits, and reflects light from one lamp and one VPL.
+        std::size_t kept = 0;
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+            RestPath& path = paths[i];
+            if (!hits[i].valid()) {
+                add_sky(world, path, rays[i].dir, pixels[path.pixel].*sum);
+                continue;
+            }
+            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
+            add_emission(world, config, path, hits[i], s, sum, pixels[path.pixel]);
+            if (!advance(path, config, rays[i], hits[i].t, s)) continue;
+            if (!s.bsdf.is_delta()) {
+                sample_direct(world, config, path.vertex, path.pixel, path.sampler, batch);
+                sample_vpl(sets, config, s, path.pixel, path.vertex.broad, path.bounces,
+                           path.sampler, batch);
+            }
+            paths[kept++] = path;
+        }
+        paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
+    }
+    return traced + batch.trace(world.tracer, pixels, sum);
+}
+
 }  // namespace
 
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
@@ -229,7 +364,7 @@ std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiC
     ShadowBatch batch;
     for (const Receiver& r : receivers) {
         Sampler sampler = tile.sampler(r.pixel, 1);
-        sample_direct(world, config, r.surface, r.pixel, vec3(1), sampler, batch);
+        sample_direct(world, config, {.at = r.surface}, r.pixel, sampler, batch);
     }
     return batch.trace(world.tracer, pixels, &PixelSample::direct);
 }
@@ -264,38 +399,31 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
     return traced + batch.trace(world.tracer, pixels, &PixelSample::indirect);
 }
 
-std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
-                                  const VplSets& sets, std::span<const Receiver> receivers,
-                                  std::span<PixelSample> pixels) {
-    std::vector<ShortPath> paths;
+std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiConfig& config,
+                          const VplSets& sets, std::span<const Receiver> receivers,
+                          std::span<PixelSample> pixels) {
+    std::vector<RestPath> paths;
     for (const Receiver& r : receivers)
-        paths.push_back({.pixel = r.pixel, .sampler = tile.sampler(r.pixel, 2), .at = r.surface});
-    std::vector<Ray> rays;
-    std::vector<Hit> hits;
-    ShadowBatch batch;
-    std::uint64_t traced = 0;
-    while (!paths.empty()) {
-        aim(config.max_geometry, paths, rays);
-        hits.resize(rays.size());
-        world.tracer.closest_hits(rays, hits);
-        traced += rays.size();
+        paths.push_back(
+            {.pixel = r.pixel, .sampler = tile.sampler(r.pixel, 2), .vertex = {.at = r.surface}});
+    std::uint64_t traced = follow_rest(world, config, sets, paths, pixels, &PixelSample::indirect);
+    if (!config.has_rest) return traced;
 
-        // Light what they found: it emits, and reflects light from one lamp and one VPL.
-        std::size_t kept = 0;
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-            if (!hits[i].valid()) continue;
-            ShortPath& path = paths[i];
-            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
-            add_emission(world, config, path, rays[i], hits[i], s, pixels);
-            if (!advance(path, config, rays[i], hits[i].t, s)) continue;
-            sample_direct(world, config, s, path.pixel, path.throughput, path.sampler, batch);
-            sample_vpl(sets, config, s, path.pixel, path.throughput, path.bounces, path.sampler,
-                       batch);
-            paths[kept++] = path;
-        }
-        paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
+    // What the receivers' own narrow lobes reflect; ideal ones the eye rays have followed.
+    paths.clear();
+    ShadowBatch batch;
+    for (const Receiver& r : receivers) {
+        if (!r.surface.bsdf.has_narrow()) continue;
+        RestPath path{
+            .pixel = r.pixel, .sampler = tile.sampler(r.pixel, 3), .vertex = {}, .whole = 1};
+        const float share = 1 - r.surface.bsdf.delta_share;
+        path.vertex = {.at = r.surface, .broad = vec3(0), .narrow = r.throughput * share};
+        path.vertex.at.bsdf.delta_share = 0;
+        sample_direct(world, config, path.vertex, r.pixel, path.sampler, batch);
+        paths.push_back(path);
     }
-    return traced + batch.trace(world.tracer, pixels, &PixelSample::indirect);
+    traced += batch.trace(world.tracer, pixels, &PixelSample::emitted);
+    return traced + follow_rest(world, config, sets, paths, pixels, &PixelSample::emitted);
 }
 
 }  // namespace tessera

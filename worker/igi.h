@@ -9,6 +9,10 @@
 // from the VPLs: one point on one light per pixel and pass, chosen among candidates by what they
 // would contribute (Talbot, Cline and Egbert, "Importance Resampling for Global Illumination",
 // 2005), combined with lamps that the short rays find.
+//
+// VPLs light broad lobes only. Narrow ones, mirrors and glass are followed by rays from wherever
+// they are met: seen by the eye, or by a scattered ray, which then is not cut short. So a refined
+// picture converges to the path tracer's, caustics included, though these are as noisy as there.
 #pragma once
 
 #include "worker/eye.h"
@@ -24,6 +28,8 @@ struct IgiConfig {
     std::uint32_t bounces = 64;
     /// What the discontinuity filter spans, seen from the eye; rad.
     float filter_angle = 0;
+    /// Whether any surface has lobes that are not broad.
+    bool has_rest = false;
 };
 
 /// Adds direct irradiance to `pixels`, but for the share of near lamps that gather_compensation()
@@ -31,12 +37,13 @@ struct IgiConfig {
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
 
-/// Adds what the bound takes away from gather_indirect(), and near lamps. A short scattered ray per
-/// receiver finds surfaces so near that their geometry term exceeds the bound, adds the excess of
-/// their light and goes on from there. Returns the number of rays traced.
-std::uint64_t gather_compensation(const World& world, const TilePass& tile, const IgiConfig& config,
-                                  const VplSets& sets, std::span<const Receiver> receivers,
-                                  std::span<PixelSample> pixels);
+/// Adds what gather_indirect() leaves out. A scattered ray per receiver finds surfaces so near that
+/// their geometry term exceeds the bound, adds the excess of their light, and near lamps, and goes
+/// on from there; and it finds what narrow and ideal lobes reflect towards the receiver. One more
+/// follows the receiver's own narrow lobe. Returns the number of rays traced.
+std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiConfig& config,
+                          const VplSets& sets, std::span<const Receiver> receivers,
+                          std::span<PixelSample> pixels);
 
 /// Adds indirect irradiance, each pixel from its own set. Returns the number of rays traced.
 std::uint64_t gather_indirect(const World& world, const TilePass& tile, const IgiConfig& config,

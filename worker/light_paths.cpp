@@ -6,9 +6,10 @@ namespace {
 /// Shading normals make the light that a particle carries differ from what it carries along the
 /// geometry (Veach 1997, 5.3); the correction is bounded because it grows without limit where light
 /// grazes the triangle.
+constexpr float most_correction = 4;
+
 float shading_correction(const SurfacePoint& s) {
-    constexpr float most = 4;
-    return std::min(dot(s.n, s.wo) / dot(s.ng, s.wo), most);
+    return std::min(dot(s.n, s.wo) / dot(s.ng, s.wo), most_correction);
 }
 
 /// Position on a Morton curve through the cube `bounds`.
@@ -45,7 +46,7 @@ std::vector<float> contributions(const World& world, std::span<const Vpl> vpls,
         weights.clear();
         for (const Receiver& r : pilots) {
             const vec3 e = irradiance(r.surface, vpls[v], max_geometry);
-            const float weight = mean_component(e * r.surface.bsdf.reflectance);
+            const float weight = mean_component(e * r.surface.bsdf.reflectance());
             if (!(weight > 0)) continue;
             rays.push_back({vpls[v].org, 0, r.surface.org - vpls[v].org, 1});
             weights.push_back(weight);
@@ -96,28 +97,42 @@ Walk start_walk(const World& world, Sampler sampler) {
     return {sampler, e.ray, e.flux};
 }
 
-/// Reflects the walk in a mirror; false when it ends.
-bool reflect(const SurfacePoint& s, Walk& walk) {
-    const auto reflected = sample(s.bsdf, s.n, s.wo, vec2(0));
-    if (!reflected || !(dot(reflected->wi, s.ng) > 0)) return false;
-    if (++walk.mirrors > max_mirrors) return false;
-    walk.flux *= reflected->weight;
-    walk.ray = {s.org, 0, reflected->wi, infinity};
-    return true;
+/// Where a walk goes on by all but ideal lobes, and with what flux.
+struct Leaving {
+    vec3 dir{0};
+    vec3 flux{0};
+};
+
+std::optional<Leaving> next_direction(const SurfacePoint& s, Walk& walk) {
+    const vec2 u_dir = walk.sampler.next();
+    const float correction = shading_correction(s);
+    if (s.bsdf.is_lambert())
+        return Leaving{Frame(s.ng).world_from_local(sample_cosine_hemisphere(u_dir)),
+                       walk.flux * s.bsdf.diffuse * correction};
+    const auto scattered = sample(s.bsdf, s.n, s.wo, walk.sampler.next().x, u_dir);
+    if (!scattered || !(dot(scattered->wi, s.ng) > 0)) return {};
+    // sample() weighs by the cosine to the shading normal, flux goes by the triangle's.
+    const float cosines = dot(scattered->wi, s.ng) / dot(scattered->wi, s.n);
+    return Leaving{scattered->wi,
+                   walk.flux * scattered->weight * std::min(correction * cosines, most_correction)};
 }
 
-/// Leaves a VPL at a diffuse surface and scatters the walk there; false when it ends.
+/// Leaves a VPL at a surface that scatters and sends the walk on; false when it ends.
 bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vector<Vpl>& vpls) {
     if (walk.bounces++ >= bounces) return false;
-    const vec3 leaving = walk.flux * s.bsdf.reflectance * shading_correction(s);
-    if (!(max_component(leaving) > 0) || !is_finite(leaving)) return false;
-    vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces});
-    const float survival = std::min(max_component(leaving) / max_component(walk.flux), 1.0f);
-    const vec2 u_dir = walk.sampler.next();
+    const vec3 leaving = walk.flux * s.bsdf.reflectance() * shading_correction(s);
+    if (max_component(leaving) > 0 && is_finite(leaving)) {
+        vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces, s.n, s.wo, s.bsdf});
+    } else if (!s.bsdf.has_narrow()) {
+        return false;
+    }
+    const auto next = next_direction(s, walk);
+    if (!next || !(max_component(next->flux) > 0) || !is_finite(next->flux)) return false;
+    const float survival = std::min(max_component(next->flux) / max_component(walk.flux), 1.0f);
     if (!(walk.sampler.next().x < survival)) return false;
-    walk.flux = leaving / survival;
+    walk.flux = next->flux / survival;
     walk.mirrors = 0;
-    walk.ray = {s.org, 0, Frame(s.ng).world_from_local(sample_cosine_hemisphere(u_dir)), infinity};
+    walk.ray = {s.org, 0, next->dir, infinity};
     return true;
 }
 
@@ -147,7 +162,10 @@ std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::
             Walk walk = walks[i];
             const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             const bool goes_on =
-                s.bsdf.specular() ? reflect(s, walk) : scatter(s, bounces, walk, vpls);
+                meets_delta(s.bsdf, walk.sampler, walk.flux)
+                    ? pass_delta(s, Carries::flux, walk.sampler, walk.flux, walk.ray) &&
+                          ++walk.mirrors <= max_mirrors
+                    : scatter(s, bounces, walk, vpls);
             if (goes_on) walks[kept++] = walk;
         }
         walks.erase(walks.begin() + std::ptrdiff_t(kept), walks.end());
@@ -161,7 +179,10 @@ vec3 irradiance(const SurfacePoint& s, const Vpl& vpl, float max_geometry) {
     const float cos_surface = dot(s.n, to);
     if (!(cos_vpl > 0 && cos_surface > 0 && dot(s.ng, to) > 0)) return vec3(0);
     const float d2 = dot(to, to);
-    return vpl.intensity * std::min(cos_vpl * cos_surface / (d2 * d2), max_geometry);
+    const vec3 e = vpl.intensity * std::min(cos_vpl * cos_surface / (d2 * d2), max_geometry);
+    if (!s.bsdf.glossy && !vpl.bsdf.glossy) return e;
+    const vec3 wi = to / std::sqrt(d2);
+    return e * shape(s.bsdf, s.n, s.wo, wi) * shape(vpl.bsdf, vpl.n, vpl.wo, -wi);
 }
 
 std::uint32_t count_light_paths(const World& world, const VplConfig& config) {

@@ -1,7 +1,8 @@
 // Quasi-random walks from the lights: where they land, virtual point lights stand (Keller, "Instant
 // Radiosity", 1997). A VPL is the light that leaves a surface after a diffuse reflection there, so
 // it carries indirect light only; light straight from lamps is sampled apart. Russian roulette by
-// reflectance keeps the power of a path's VPLs nearly equal.
+// reflectance keeps the power of a path's VPLs nearly equal. Only what broad lobes reflect becomes
+// a VPL; the walk itself goes on by all lobes, through mirrors and glass.
 //
 // Out of many candidate VPLs those that matter for the picture are kept: each candidate's
 // contribution to a few points that the eye sees (the view's pilots) decides how likely it is taken
@@ -21,7 +22,8 @@ namespace tessera {
 std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::uint32_t count,
                                   std::uint32_t bounces, std::uint32_t seed, std::uint64_t& rays);
 
-/// Irradiance at a receiver from a VPL, occlusion aside; `max_geometry` bounds cos * cos / d^2.
+/// Irradiance at a receiver from a VPL, occlusion aside, as the receiver's broad lobes weigh it;
+/// `max_geometry` bounds cos * cos / d^2.
 vec3 irradiance(const SurfacePoint& s, const Vpl& vpl, float max_geometry);
 
 /// How the sets of a frame are made.

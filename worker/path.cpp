@@ -6,13 +6,13 @@ namespace {
 /// A path that starts at a receiver, which is vertex 0.
 struct Path {
     std::uint32_t pixel = 0;
-    std::uint32_t bounces = 0;  ///< diffuse reflections between receiver and current vertex
-    std::uint32_t mirrors = 0;  ///< in a row
+    std::uint32_t bounces = 0;  ///< reflections between receiver and current vertex, but for ideal
+    std::uint32_t mirrors = 0;  ///< ideal reflections and refractions in a row
     Sampler sampler;
     SurfacePoint at;
     vec3 throughput{pi};  ///< from radiance to the receiver's irradiance
     float pdf = 0;        ///< of the ray that is on its way, per solid angle; 0 after a mirror
-    vec3 from{0};         ///< where that ray left its last diffuse vertex
+    vec3 from{0};         ///< where that ray left its last vertex that was not ideal
 };
 
 /// Light that reaches the receiver if the shadow ray of the same index is free.
@@ -32,9 +32,11 @@ void deposit(PixelSample& pixel, bool direct, const vec3& irradiance) {
     (direct ? pixel.direct : pixel.indirect) += irradiance;
 }
 
-/// BRDF of the vertex relative to its albedo at the receiver, whose own albedo is applied later.
-vec3 reflectance(const Path& path) {
-    return path.bounces == 0 ? vec3(1) : path.at.bsdf.reflectance;
+/// BRDF of the vertex times pi; at the receiver relative to its albedo, which is applied later.
+vec3 scattering(const Path& path, const vec3& wi) {
+    const SurfacePoint& s = path.at;
+    if (path.bounces == 0) return shape(s.bsdf, s.n, s.wo, wi, Lobes::all);
+    return s.bsdf.is_lambert() ? s.bsdf.diffuse : pi * eval(s.bsdf, s.n, s.wo, wi);
 }
 
 void sample_light(const World& world, Path& path, Batch& batch) {
@@ -42,10 +44,10 @@ void sample_light(const World& world, Path& path, Batch& batch) {
     const auto light = world.lights.sample(path.at.p, u_light, path.sampler.next());
     const float cosine = light ? dot(path.at.n, light->wi) : 0;
     if (!(cosine > 0 && dot(path.at.ng, light->wi) > 0)) return;
-    const float weight =
-        light->punctual ? 1 : power_heuristic(light->pdf, cosine_hemisphere_pdf(cosine));
-    const vec3 irradiance =
-        path.throughput * reflectance(path) * light->radiance * (cosine / pi * weight / light->pdf);
+    const float scattered_pdf = pdf(path.at.bsdf, path.at.n, path.at.wo, light->wi);
+    const float weight = light->punctual ? 1 : power_heuristic(light->pdf, scattered_pdf);
+    const vec3 irradiance = path.throughput * scattering(path, light->wi) * light->radiance *
+                            (cosine / pi * weight / light->pdf);
     if (!(max_component(irradiance) > 0)) return;
     batch.shadow_rays.push_back(shadow_ray(path.at, *light));
     batch.pending.push_back({path.pixel, path.bounces == 0, irradiance});
@@ -62,22 +64,35 @@ void trace_shadow_rays(const World& world, Batch& batch, std::span<PixelSample> 
     batch.pending.clear();
 }
 
+/// Sends the path on by all but the ideal lobes; false when it ends.
+bool reflect(Path& path, std::uint32_t bounces, Ray& ray) {
+    const SurfacePoint& at = path.at;
+    const vec2 u = path.sampler.next();
+    const bool lambert = at.bsdf.is_lambert();
+    const auto s = sample(at.bsdf, at.n, at.wo, lambert ? 0 : path.sampler.next().x, u);
+    if (!s || !(dot(s->wi, at.ng) > 0)) return false;
+    path.throughput *= scattering(path, s->wi);
+    if (!lambert) path.throughput *= dot(at.n, s->wi) / (pi * s->pdf);
+    path.pdf = s->pdf;
+    path.from = at.p;
+    path.mirrors = 0;
+    // The ray may still find a light when no further reflection is allowed.
+    if (path.bounces > bounces) return false;
+    ++path.bounces;
+    ray = {at.org, 0, s->wi, infinity};
+    return true;
+}
+
 /// Chooses where the path goes on and writes its ray; false when it ends.
 bool scatter(Path& path, std::uint32_t bounces, Ray& ray) {
-    const auto s = sample(path.at.bsdf, path.at.n, path.at.wo, path.sampler.next());
-    if (!s || !(dot(s->wi, path.at.ng) > 0)) return false;
-    if (!path.at.bsdf.specular()) {
-        path.throughput *= reflectance(path);
-        path.pdf = s->pdf;
-        path.from = path.at.p;
-        path.mirrors = 0;
-        // The ray may still find a light when no further reflection is allowed.
-        if (path.bounces > bounces) return false;
-        ++path.bounces;
-    } else {
-        path.throughput *= s->weight;
+    // Eye rays have made that choice at the receiver.
+    if (path.bounces > 0 && meets_delta(path.at.bsdf, path.sampler, path.throughput)) {
         path.pdf = 0;
-        if (++path.mirrors > max_mirrors) return false;
+        if (++path.mirrors > max_mirrors ||
+            !pass_delta(path.at, Carries::radiance, path.sampler, path.throughput, ray))
+            return false;
+    } else if (!reflect(path, bounces, ray)) {
+        return false;
     }
     // Russian roulette by throughput, never for the receiver's own ray.
     const float survival = std::min(max_component(path.throughput) / pi, 0.95f);
@@ -85,7 +100,6 @@ bool scatter(Path& path, std::uint32_t bounces, Ray& ray) {
         if (!(path.sampler.next().x < survival)) return false;
         path.throughput /= survival;
     }
-    ray = {path.at.org, 0, s->wi, infinity};
     return true;
 }
 
@@ -97,6 +111,15 @@ void add_emission(const World& world, const Path& path, const Hit& hit, const Su
         path.pdf > 0 ? power_heuristic(path.pdf, world.lights.pdf(path.from, hit, s)) : 1;
     deposit(pixels[path.pixel], path.pdf > 0 && path.bounces == 1,
             path.throughput * s.emission * weight);
+}
+
+/// The same for the sky, which the path leaves for.
+void add_sky(const World& world, const Path& path, const vec3& dir, std::span<PixelSample> pixels) {
+    const vec3 radiance = world.lights.sky().radiance(dir);
+    if (radiance == vec3(0)) return;
+    const float weight = path.pdf > 0 ? power_heuristic(path.pdf, world.lights.sky_pdf(dir)) : 1;
+    deposit(pixels[path.pixel], path.pdf > 0 && path.bounces == 1,
+            path.throughput * radiance * weight);
 }
 
 }  // namespace
@@ -114,7 +137,7 @@ std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_
     while (!paths.empty()) {
         // Light every diffuse vertex.
         for (Path& path : paths)
-            if (!path.at.bsdf.specular() && path.bounces <= bounces)
+            if (!path.at.bsdf.is_delta() && path.bounces <= bounces)
                 sample_light(world, path, batch);
         traced += batch.shadow_rays.size();
         trace_shadow_rays(world, batch, pixels);
@@ -129,7 +152,10 @@ std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_
         // Take in what they found.
         std::size_t alive = 0;
         for (std::size_t i = 0; i < kept; ++i) {
-            if (!hits[i].valid()) continue;
+            if (!hits[i].valid()) {
+                add_sky(world, paths[i], rays[i].dir, pixels);
+                continue;
+            }
             paths[i].at = world.surfaces.at(rays[i], hits[i]);
             add_emission(world, paths[i], hits[i], paths[i].at, pixels);
             paths[alive++] = paths[i];

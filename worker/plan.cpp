@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+
 namespace tessera {
 namespace {
 
@@ -22,9 +24,60 @@ void note(ScenePlan& plan, std::size_t count, const std::string& what, const std
         plan.left_out.push_back(fmt::format("{}: the scene has none", what));
 }
 
+bool is_glossy(const Material& m) {
+    return !is_mirror(m.metallic, m.roughness) && (m.metallic > 0 || m.specular > 0);
+}
+
+void note_gloss(ScenePlan& plan, const Scene& scene, const Surfaces& surfaces) {
+    const auto glossy = count_materials(scene, is_glossy);
+    const auto narrow = count_materials(
+        scene, [&](const Material& m) { return is_glossy(m) && surfaces.has_rest(m); });
+    note(plan, glossy, "glossy reflection",
+         fmt::format(" materials (GGX), {} of them narrow enough to be traced by rays of their own",
+                     narrow));
+    if (glossy > 0)
+        plan.left_out.push_back(
+            "light reflected more than once between microfacets: rough metal is a little dark");
+}
+
+void note_glass(ScenePlan& plan, const Scene& scene) {
+    const auto glass = count_materials(scene, [](const Material& m) { return m.transmission > 0; });
+    note(plan, glass, "glass", " materials");
+    const auto frosted = count_materials(
+        scene, [](const Material& m) { return m.transmission > 0 && m.roughness > 0; });
+    if (frosted > 0)
+        plan.left_out.push_back(
+            fmt::format("rough glass: {} materials modelled as smooth", frosted));
+    if (glass > 0)
+        plan.left_out.push_back(
+            "shadow rays through glass: it blocks them; light that passes is found by scattered "
+            "rays "
+            "that hit lamps, so point lights and other lights without size do not shine through");
+}
+
+void note_alpha(ScenePlan& plan, const Scene& scene) {
+    const auto holes =
+        count_materials(scene, [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
+    const auto blended =
+        count_materials(scene, [](const Material& m) { return m.alpha_mode == AlphaMode::blend; });
+    note(plan, holes, "surfaces with holes",
+         fmt::format(" materials, past which rays are traced again; of {} each ray meets a share",
+                     blended));
+}
+
+/// Values beyond what surfaces can do are clamped: say so.
+void note_clamped(ScenePlan& plan, const Scene& scene) {
+    const auto bright = count_materials(scene, [](const Material& m) {
+        return max_component(m.base_color) > 1 || m.base_color != glm::max(m.base_color, vec3(0));
+    });
+    if (bright > 0)
+        plan.left_out.push_back(fmt::format(
+            "reflectance below 0 or above 1: {} materials, clamped to that range", bright));
+}
+
 }  // namespace
 
-ScenePlan make_plan(const Scene& scene, const Lights& lights) {
+ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& lights) {
     ScenePlan plan;
     note(plan, scene.instances.size(), "instances",
          fmt::format(" of {} objects", scene.objects.size()));
@@ -33,19 +86,29 @@ ScenePlan make_plan(const Scene& scene, const Lights& lights) {
     note(plan, count_lights(scene, LightKind::spot), "spot lights", "");
     note(plan, count_lights(scene, LightKind::directional), "directional lights", "");
     note(plan, scene.textures.size(), "textures", "");
-    const auto mirrors = count_materials(
-        scene, [](const Material& m) { return is_mirror(m.metallic, m.roughness); });
-    note(plan, mirrors, "mirrors", " materials");
-
-    const auto glossy = count_materials(scene, [](const Material& m) {
-        return !is_mirror(m.metallic, m.roughness) && (m.metallic > 0 || m.roughness < 1);
-    });
-    if (glossy > 0)
-        plan.left_out.push_back(
-            fmt::format("glossy reflection: {} materials modelled as Lambert", glossy));
-    if (mirrors > 0)
-        plan.left_out.push_back(
-            "caustics: light that mirrors throw on surfaces is missing from igi; path has it");
+    if (surfaces.sanitised_texels() > 0)
+        plan.left_out.push_back(fmt::format("{} texels that were negative or not finite: black",
+                                            surfaces.sanitised_texels()));
+    if (lights.has_tree())
+        plan.modelled.push_back(
+            fmt::format("many lights: {}, chosen from by a tree", lights.size()));
+    note(plan, lights.sky().empty() ? 0 : 1, "environment",
+         scene.environment.texture < 0 ? " colour" : " map");
+    note(plan, count_materials(scene, [](const Material& m) { return m.normal_map.texture >= 0; }),
+         "normal maps", " materials");
+    note_alpha(plan, scene);
+    note(plan,
+         count_materials(scene,
+                         [](const Material& m) { return is_mirror(m.metallic, m.roughness); }),
+         "mirrors", " materials");
+    note_gloss(plan, scene, surfaces);
+    note_glass(plan, scene);
+    if (std::any_of(scene.materials.begin(), scene.materials.end(),
+                    [&](const Material& m) { return surfaces.has_rest(m); }))
+        plan.modelled.push_back(
+            "caustics: by scattered rays that find mirrors, glass and narrow gloss, in igi as in "
+            "path");
+    note_clamped(plan, scene);
     if (lights.empty()) plan.left_out.push_back("light: nothing emits, the picture will be black");
     return plan;
 }

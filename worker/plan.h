@@ -6,6 +6,6 @@
 
 namespace tessera {
 
-ScenePlan make_plan(const Scene& scene, const Lights& lights);
+ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& lights);
 
 }  // namespace tessera

@@ -9,6 +9,7 @@
 #include <mutex>
 
 #include "common/check.h"
+#include "worker/cutout_tracer.h"
 #include "worker/igi.h"
 #include "worker/light_paths.h"
 #include "worker/path.h"
@@ -61,12 +62,14 @@ std::vector<Receiver> find_pilots(const World& world, const FrameSpec& spec) {
 class FrameState {
 public:
     FrameState(const FrameSpec& spec, const Surfaces& surfaces, const Lights& lights,
-               std::shared_ptr<const Tracer> tracer)
+               std::shared_ptr<const Tracer> tracer, bool has_rest)
         : spec_(spec),
           tracer_(std::move(tracer)),
-          world_{surfaces, lights, *tracer_},
+          world_{surfaces, lights, *tracer_,
+                 spec.settings.integrator == Integrator::path ? Lobes::all : Lobes::broad},
           camera_(spec.camera, spec.size),
-          vpl_config_(vpl_config(spec.settings, surfaces.bounds())) {
+          vpl_config_(vpl_config(spec.settings, surfaces.bounds())),
+          has_rest_(has_rest) {
         if (spec.settings.integrator != Integrator::igi) return;
         vpl_config_.paths = count_light_paths(world_, vpl_config_);
         pilots_ = find_pilots(world_, spec);
@@ -85,11 +88,12 @@ public:
             .interleave = vpl_config_.interleave,
             .max_geometry = vpl_config_.max_geometry,
             .bounces = settings.bounces,
-            .filter_angle = float(vpl_config_.interleave) * camera_.pixel_width()};
+            .filter_angle = float(vpl_config_.interleave) * camera_.pixel_width(),
+            .has_rest = has_rest_};
         rays += gather_direct(world_, tile, config, receivers, pixels);
         const auto sets = vpls_of(tile.pass, rays);
         rays += gather_indirect(world_, tile, config, *sets, receivers, pixels);
-        return rays + gather_compensation(world_, tile, config, *sets, receivers, pixels);
+        return rays + gather_rest(world_, tile, config, *sets, receivers, pixels);
     }
 
 private:
@@ -122,6 +126,7 @@ private:
     World world_;
     Pinhole camera_;
     VplConfig vpl_config_;
+    bool has_rest_;
     std::vector<Receiver> pilots_;
     std::mutex mutex_;
     std::map<std::uint32_t, std::shared_ptr<PassVpls>> passes_;
@@ -193,6 +198,11 @@ void add_pass(const FrameSpec& spec, std::span<const PixelSample> samples, bool 
     }
 }
 
+bool has_cutouts(const Scene& scene) {
+    return std::any_of(scene.materials.begin(), scene.materials.end(),
+                       [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
+}
+
 }  // namespace
 
 struct Renderer::State {
@@ -200,7 +210,9 @@ struct Renderer::State {
         : config(renderer_config),
           surfaces(scene, blobs),
           lights(surfaces, surfaces.bounds()),
-          plan(make_plan(scene, lights)) {}
+          has_rest(std::any_of(scene.materials.begin(), scene.materials.end(),
+                               [&](const Material& m) { return surfaces.has_rest(m); })),
+          plan(make_plan(scene, surfaces, lights)) {}
 
     std::shared_ptr<const Tracer> tracer(TracerKind kind) {
         const std::lock_guard lock(build_mutex);
@@ -209,6 +221,7 @@ struct Renderer::State {
             const auto start = Clock::now();
             slot = build_tracer(kind, surfaces.tracer_objects(), surfaces.tracer_instances(),
                                 config.threads);
+            if (has_cutouts(surfaces.scene())) slot = with_cutouts(slot, surfaces);
             build_seconds = build_seconds + seconds_since(start);
         }
         return slot;
@@ -223,6 +236,7 @@ struct Renderer::State {
     RendererConfig config;
     Surfaces surfaces;
     Lights lights;
+    bool has_rest;
     ScenePlan plan;
     std::mutex build_mutex;
     std::array<std::shared_ptr<const Tracer>, 2> tracers;
@@ -244,8 +258,9 @@ void Renderer::prepare(TracerKind tracer) { state_->tracer(tracer); }
 
 void Renderer::begin_frame(const FrameSpec& spec) {
     if (state_->find(spec.frame)) return;
-    const auto frame = std::make_shared<FrameState>(spec, state_->surfaces, state_->lights,
-                                                    state_->tracer(spec.settings.tracer));
+    const auto frame =
+        std::make_shared<FrameState>(spec, state_->surfaces, state_->lights,
+                                     state_->tracer(spec.settings.tracer), state_->has_rest);
     const std::lock_guard lock(state_->frames_mutex);
     state_->frames.emplace(spec.frame, frame);
 }

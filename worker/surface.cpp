@@ -49,6 +49,21 @@ vec3 world_normal(const mat3& normal_from_object, const vec3& n) {
     return unit_or(v / largest, vec3(0, 0, 1));
 }
 
+/// Sets texels that no light has to zero; returns how many.
+std::uint64_t sanitise(Texture& texture) {
+    std::uint64_t count = 0;
+    for (vec3& texel : texture.radiance) {
+        if (is_finite(texel) && texel == glm::max(texel, vec3(0))) continue;
+        texel = vec3(0);
+        ++count;
+    }
+    return count;
+}
+
+bool is_lambert(const Material& m) {
+    return m.metallic == 0 && m.specular == 0 && m.transmission == 0;
+}
+
 }  // namespace
 
 Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs) : scene_(scene) {
@@ -57,6 +72,7 @@ Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs) : scene_(scene) {
         meshes_.push_back(decode_blob(blobs, id, "mesh", decode_mesh));
     for (const BlobId& id : scene.textures) {
         textures_.push_back(decode_blob(blobs, id, "texture", decode_texture));
+        sanitised_texels_ += sanitise(textures_.back());
         texture_means_.push_back(mean_color(textures_.back()));
     }
     for (const Object& object : scene.objects)
@@ -135,12 +151,75 @@ vec3 Surfaces::emission(std::uint32_t instance, std::uint32_t triangle, const ve
     const Material& m = material(instance, triangle);
     const Mesh& mesh = mesh_of(instance);
     const vec2 uv = texcoord(mesh, mesh.triangles[triangle], b);
-    return m.emission * vec3(color(m.emission_map, uv));
+    const vec3 emission = m.emission * vec3(color(m.emission_map, uv));
+    return m.alpha_mode == AlphaMode::opaque ? emission : emission * coverage(m, uv);
+}
+
+float Surfaces::coverage(const Material& m, const vec2& uv) const {
+    const float alpha = m.alpha * color(m.base_color_map, uv).a;
+    if (m.alpha_mode == AlphaMode::blend) return alpha;
+    return m.alpha_mode == AlphaMode::opaque || alpha >= m.alpha_cutoff ? 1 : 0;
+}
+
+float Surfaces::coverage(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const {
+    const Material& m = material(instance, triangle);
+    if (m.alpha_mode == AlphaMode::opaque) return 1;
+    const Mesh& mesh = mesh_of(instance);
+    return coverage(m, texcoord(mesh, mesh.triangles[triangle], b));
+}
+
+Sky Surfaces::sky() const {
+    const Environment& e = scene_.environment;
+    return {e, e.texture < 0 ? nullptr : &textures_[std::size_t(e.texture)]};
 }
 
 vec3 Surfaces::mean_emission(const Material& m) const {
     return m.emission_map.texture < 0 ? m.emission
                                       : m.emission * texture_means_[m.emission_map.texture];
+}
+
+SurfaceLook Surfaces::look(const Material& m, const vec2& uv) const {
+    SurfaceLook look{.base_color = m.base_color * vec3(color(m.base_color_map, uv)),
+                     .metallic = m.metallic,
+                     .roughness = m.roughness,
+                     .specular = m.specular,
+                     .ior = m.ior,
+                     .transmission = m.transmission,
+                     .thin_walled = m.thin_walled};
+    if (m.metallic_roughness_map.texture >= 0) {
+        const vec4 texel = color(m.metallic_roughness_map, uv);
+        look.metallic *= texel.b;
+        look.roughness *= texel.g;
+    }
+    if (m.transmission_map.texture >= 0) look.transmission *= color(m.transmission_map, uv).r;
+    return look;
+}
+
+bool Surfaces::has_rest(const Material& m) const {
+    const bool glossy = m.metallic > 0 || m.specular > 0;
+    const bool mapped = m.metallic_roughness_map.texture >= 0;
+    return m.transmission > 0 ||
+           (glossy && (mapped || m.roughness * m.roughness < Bsdf::narrow_alpha));
+}
+
+/// `n`, on the front of `t`, as the normal map tilts it.
+vec3 Surfaces::bumped(const Material& m, const WorldTriangle& t, const Mesh& mesh,
+                      const uvec3& corners, const vec2& uv, const vec3& n) const {
+    if (mesh.texcoords.empty()) return n;
+    // How the place moves with u and v tells the tangents; green runs against v.
+    const vec2 uv0 = apply(m.normal_map, mesh.texcoords[corners.x]);
+    const vec2 d1 = apply(m.normal_map, mesh.texcoords[corners.y]) - uv0;
+    const vec2 d2 = apply(m.normal_map, mesh.texcoords[corners.z]) - uv0;
+    const float area = d1.x * d2.y - d1.y * d2.x;
+    const float sign = std::copysign(1.0f, area);
+    const vec3 along_u = sign * ((t.p1 - t.p0) * d2.y - (t.p2 - t.p0) * d1.y);
+    const vec3 along_v = sign * ((t.p2 - t.p0) * d1.x - (t.p1 - t.p0) * d2.x);
+    const vec3 tangent = unit_or(along_u - n * dot(n, along_u), vec3(0));
+    if (area == 0 || tangent == vec3(0)) return n;
+    const vec3 across = cross(n, tangent);
+    const vec3 bitangent = dot(across, along_v) > 0 ? -across : across;
+    const vec3 texel = 2.0f * vec3(color(m.normal_map, uv)) - 1.0f;
+    return unit_or(m.normal_scale * (texel.x * tangent + texel.y * bitangent) + texel.z * n, n);
 }
 
 SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
@@ -169,13 +248,12 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     }
 
     const vec2 uv = texcoord(mesh, corners, b);
-    vec2 metal_rough(m.metallic, m.roughness);
-    if (m.metallic_roughness_map.texture >= 0) {
-        const vec4 texel = color(m.metallic_roughness_map, uv);
-        metal_rough *= vec2(texel.b, texel.g);
+    if (m.normal_map.texture >= 0) {
+        const vec3 n = bumped(m, t, mesh, corners, uv, front ? s.n : -s.n);
+        if (dot(front ? n : -n, s.wo) > 0) s.n = front ? n : -n;
     }
-    s.bsdf =
-        make_bsdf(m.base_color * vec3(color(m.base_color_map, uv)), metal_rough.x, metal_rough.y);
+    s.bsdf = is_lambert(m) ? lambert_bsdf(m.base_color * vec3(color(m.base_color_map, uv)))
+                           : make_bsdf(look(m, uv), dot(s.n, s.wo), front);
     if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
     return s;
 }

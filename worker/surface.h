@@ -5,6 +5,7 @@
 
 #include "common/scene.h"
 #include "worker/bsdf.h"
+#include "worker/sky.h"
 #include "worker/tracer.h"
 
 namespace tessera {
@@ -18,6 +19,9 @@ struct SurfacePoint {
     vec3 wo{0};        ///< towards the viewer, unit
     vec3 emission{0};  ///< radiance towards the viewer
     Bsdf bsdf;
+
+    /// Where a ray in direction `dir` leaves: beside the surface, or behind it.
+    vec3 leave(const vec3& dir) const { return dot(dir, ng) > 0 ? org : 2.0f * p - org; }
 };
 
 /// A triangle in world space; `ng` is the unit normal of its front (counter-clockwise in its mesh,
@@ -62,12 +66,25 @@ public:
     /// Mean radiance over the whole emission texture; an upper bound's stand-in for choosing.
     vec3 mean_emission(const Material& material) const;
 
+    /// The scene's environment, with its picture.
+    Sky sky() const;
+    /// How much of the surface is there at barycentric weights `b`: 0 or 1 unless it blends.
+    float coverage(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const;
+    /// Values of textures that were not finite, or negative, and count as zero.
+    std::uint64_t sanitised_texels() const { return sanitised_texels_; }
+    /// Whether the material can have lobes that are not broad.
+    bool has_rest(const Material& material) const;
+
     const Scene& scene() const { return scene_; }
 
 private:
     const Mesh& mesh_of(std::uint32_t instance) const;
     vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
     vec4 color(const TextureMap& map, const vec2& uv) const;
+    float coverage(const Material& material, const vec2& uv) const;
+    SurfaceLook look(const Material& material, const vec2& uv) const;
+    vec3 bumped(const Material& material, const WorldTriangle& t, const Mesh& mesh,
+                const uvec3& corners, const vec2& uv, const vec3& n) const;
 
     Scene scene_;
     std::vector<Mesh> meshes_;
@@ -75,6 +92,7 @@ private:
     std::vector<vec3> texture_means_;
     std::vector<mat3> normal_from_object_;  ///< per instance: inverse transpose
     Box bounds_;
+    std::uint64_t sanitised_texels_ = 0;
 };
 
 }  // namespace tessera

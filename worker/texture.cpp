@@ -28,7 +28,9 @@ std::int64_t wrapped(std::int64_t i, std::int64_t size, Wrap wrap) {
 vec4 texel(const Texture& texture, std::int64_t x, std::int64_t y) {
     const std::int64_t column = wrapped(x, texture.width, texture.wrap_u);
     const std::int64_t row = wrapped(y, texture.height, texture.wrap_v);
-    const std::uint8_t* p = &texture.rgba[4 * std::size_t(row * texture.width + column)];
+    const auto index = std::size_t(row * texture.width + column);
+    if (!texture.radiance.empty()) return {texture.radiance[index], 1};
+    const std::uint8_t* p = &texture.rgba[4 * index];
     return {decode(texture, p[0]), decode(texture, p[1]), decode(texture, p[2]), float(p[3]) / 255};
 }
 
@@ -58,9 +60,11 @@ vec4 lookup(const Texture& texture, const vec2& uv) {
 
 vec3 mean_color(const Texture& texture) {
     double sum[3] = {0, 0, 0};
+    for (const vec3& texel : texture.radiance)
+        for (int c = 0; c < 3; ++c) sum[c] += double(texel[c]);
     for (std::size_t i = 0; i < texture.rgba.size(); i += 4)
         for (int c = 0; c < 3; ++c) sum[c] += decode(texture, texture.rgba[i + c]);
-    const double texels = double(texture.rgba.size() / 4);
+    const double texels = double(texture.width) * texture.height;
     return vec3(sum[0] / texels, sum[1] / texels, sum[2] / texels);
 }
 

@@ -10,7 +10,8 @@ namespace tessera {
 /// the picture, then moved (KHR_texture_transform).
 vec2 apply(const TextureMap& map, const vec2& uv);
 
-/// Linear RGBA in [0, 1] at `uv`, bilinear between texel centres. Zero when uv is not finite.
+/// Linear RGBA at `uv`, in [0, 1] unless the texture holds floats, bilinear between texel centres.
+/// Zero when uv is not finite.
 vec4 lookup(const Texture& texture, const vec2& uv);
 
 /// Mean linear RGB of all texels.

@@ -6,15 +6,19 @@
 #include <vector>
 
 #include "common/math.h"
+#include "worker/bsdf.h"
 
 namespace tessera {
 
-/// Light that leaves a surface point, as if from a tiny Lambertian lamp.
+/// Light that leaves a surface point, as if from a tiny lamp: Lambertian where nothing glossy is.
 struct Vpl {
     vec3 org{0};                ///< beside the surface, where shadow rays start
     vec3 ng{0};                 ///< unit normal of the lit side
     vec3 intensity{0};          ///< along the normal, W/sr
     std::uint32_t bounces = 1;  ///< reflections since the light, the one here counted
+    vec3 n{0};                  ///< shading normal of the lit side
+    vec3 wo{0};                 ///< where the light came from, unit
+    Bsdf bsdf;
 };
 
 /// The n x n sets of one pass, one after the other.
