@@ -2,12 +2,13 @@
 // common/messages.cpp is the only place where Protocol Buffers become values and back.
 //
 //   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
-//   viewer -> server   Hello, SceneUpdate, BlobChunk*, FrameRequest, FrameCancel, StatusRequest,
-//                      Ping, Pong
+//   viewer -> server   Hello, SceneUpdate, BlobChunk*, SceneShare, SceneWatch, BlobRequest,
+//                      SceneEdit, FrameRequest, FrameCancel, StatusRequest, Ping, Pong
 //   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
 //                      FrameEnd, Ping
-//   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, FrameProgress, PictureChunk*,
-//                      FrameDone, Failure, Status, Ping, Pong
+//   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
+//                      EditResult, FrameProgress, PictureChunk*, FrameDone, Failure, Status, Ping,
+//                      Pong
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
 
@@ -22,13 +23,14 @@
 
 #include "common/blob.h"
 #include "common/scene_delta.h"
+#include "common/scene_edit.h"
 #include "common/tile.h"
 #include "common/tone_map.h"
 
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 1;
+inline constexpr std::uint32_t protocol_version = 2;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -101,6 +103,34 @@ struct SceneDrop {
     std::string scene;
 
     bool operator==(const SceneDrop&) const = default;
+};
+
+/// A scene that this viewer has uploaded becomes open to all, for as long as the server runs.
+struct SceneShare {
+    std::string scene;
+
+    bool operator==(const SceneShare&) const = default;
+};
+/// The viewer wants to hold this open scene: SceneUpdates follow, now and after every change.
+struct SceneWatch {
+    std::string scene;
+
+    bool operator==(const SceneWatch&) const = default;
+};
+struct SceneEdit {
+    std::uint64_t request = 0;  ///< the viewer's own number, echoed in EditResult
+    std::string scene;
+    std::vector<EditOperation> operations;
+
+    bool operator==(const SceneEdit&) const = default;
+};
+struct EditResult {
+    std::uint64_t request = 0;
+    std::string scene;
+    std::uint64_t version = 0;  ///< the newest
+    std::vector<std::string> complaints;
+
+    bool operator==(const EditResult&) const = default;
 };
 
 /// How the picture shall come back.
@@ -245,10 +275,11 @@ struct Pong {
     bool operator==(const Pong&) const = default;
 };
 
-using MessageBody = std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk,
-                                 SceneReady, SceneDrop, FrameRequest, FrameCancel, FrameProgress,
-                                 PictureChunk, FrameDone, FrameBegin, FrameEnd, TileTask,
-                                 TileResult, Failure, StatusRequest, Status, Ping, Pong>;
+using MessageBody =
+    std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk, SceneReady,
+                 SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
+                 FrameBegin, FrameEnd, TileTask, TileResult, Failure, StatusRequest, Status, Ping,
+                 Pong, SceneShare, SceneWatch, SceneEdit, EditResult>;
 
 /// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
 struct Payload {

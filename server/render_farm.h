@@ -39,6 +39,8 @@ public:
 
     /// Workers get this scene as soon as they join.
     void keep_ready(ScenePtr scene);
+    /// A scene that is kept ready has a newer version: workers get it after frames in flight.
+    void scene_changed(const std::string& name) { sync_scene(name); }
     /// No new frames of the scene will come: workers drop it after those in flight.
     void drop_scene(const std::string& name);
 

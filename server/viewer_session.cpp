@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "common/check.h"
@@ -13,6 +14,8 @@ namespace {
 
 /// Frames that a viewer may have in flight; each costs memory for its passes.
 constexpr std::size_t most_frames = 16;
+/// Requests for blobs that may be answered at the same time.
+constexpr unsigned most_blob_requests = 16;
 
 /// A picture or channel in the form in which it travels.
 struct Part {
@@ -66,22 +69,38 @@ Message chunk_of(const Part& part, std::size_t offset) {
     return message;
 }
 
+std::string no_scene(const std::string& name, const SceneStore& store) {
+    return fmt::format(
+        "there is no scene '{}'; upload it first, or use one that is open to all ({})", name,
+        fmt::join(store.open_names(), ", "));
+}
+
+std::string no_open_scene(const std::string& name, const SceneStore& store) {
+    return fmt::format("there is no open scene '{}'; there are: {}", name,
+                       fmt::join(store.open_names(), ", "));
+}
+
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
                              std::function<Status()> status)
     : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
-      status_(std::move(status)) {}
+      status_(std::move(status)),
+      news_(connection_->executor()) {}
 
 asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store) {
     const auto self = shared_from_this();
     spdlog::info("{} joins", description_);
+    asio::co_spawn(
+        connection_->executor(), [self] { return self->keep_informed(); }, asio::detached);
     for (;;) handle(co_await connection_->receive(), farm, store);
 }
 
 void ViewerSession::leave(RenderFarm& farm) {
     connection_->close();
+    news_.cancel();
+    for (const auto& [name, watched] : watched_) watched.scene->watchers.erase(this);
     for (const auto& [request, frame] : std::exchange(frames_, {})) farm.cancel_frame(frame);
     for (const auto& [name, scene] : scenes_)
         if (scene.use_count() == 1) farm.drop_scene(scene->now.name);
@@ -95,6 +114,14 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
     } else if (const auto* chunk = message.get<BlobChunk>()) {
         receiver_.add(*chunk, message.payload.bytes);
         publish_ready_scenes(farm, store);
+    } else if (const auto* shared = message.get<SceneShare>()) {
+        share(*shared, farm, store);
+    } else if (const auto* watched = message.get<SceneWatch>()) {
+        watch(*watched, store);
+    } else if (const auto* edited = message.get<SceneEdit>()) {
+        edit(*edited, farm, store);
+    } else if (const auto* wanted = message.get<BlobRequest>()) {
+        send_blobs_of(*wanted, store);
     } else if (const auto* request = message.get<FrameRequest>()) {
         begin_frame(*request, farm, store);
     } else if (const auto* cancel = message.get<FrameCancel>()) {
@@ -122,15 +149,90 @@ void ViewerSession::publish_ready_scenes(RenderFarm& farm, SceneStore& store) {
     }
 }
 
+/// The scene is the viewer's own no longer.
+void ViewerSession::share(const SceneShare& share, RenderFarm& farm, SceneStore& store) {
+    const auto own = scenes_.find(share.scene);
+    if (own == scenes_.end())
+        return fail(0, fmt::format("there is no scene '{}' to share; upload it first and wait "
+                                   "until it is ready",
+                                   share.scene));
+    try {
+        const ReadyScene& scene = own->second->now;
+        farm.keep_ready(store.open(share.scene, scene.scene->scene, scene.blobs));
+    } catch (const UserError& error) {
+        return fail(0, error.what());
+    }
+    if (own->second.use_count() == 1) farm.drop_scene(own->second->now.name);
+    scenes_.erase(own);
+    receiver_.drop(share.scene);
+}
+
+void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
+    const ScenePtr scene = store.find_open(watch.scene);
+    if (!scene) return fail(0, no_open_scene(watch.scene, store));
+    watched_[watch.scene] = {.scene = scene, .sent = std::make_shared<const SceneVersion>()};
+    scene->watchers[this] = [this] { news_.cancel(); };
+    news_.cancel();
+}
+
+void ViewerSession::edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store) {
+    const ScenePtr scene = store.find_open(edit.scene);
+    EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
+    if (scene) {
+        result.complaints = store.edit(scene, edit.operations);
+        result.version = scene->now.scene->version;
+        farm.scene_changed(edit.scene);
+    } else {
+        result.complaints = {no_open_scene(edit.scene, store)};
+    }
+    connection_->send({std::move(result), {}});
+}
+
+void ViewerSession::send_blobs_of(const BlobRequest& request, SceneStore& store) {
+    const ScenePtr scene = store.find_open(request.scene);
+    if (!scene) return fail(0, no_open_scene(request.scene, store));
+    if (++blob_requests_ > most_blob_requests) throw ProtocolError("asks for blobs too often");
+    asio::co_spawn(connection_->executor(),
+                   send_blobs(connection_, scene->now.blobs, request.blobs),
+                   [self = shared_from_this()](std::exception_ptr error) {
+                       --self->blob_requests_;
+                       if (error) self->connection_->close_for("asks for what is not there");
+                   });
+}
+
+/// Sends what leads to the newest versions of watched scenes, as fast as the viewer reads; versions
+/// that it is too slow for are left out.
+asio::awaitable<void> ViewerSession::keep_informed() {
+    const auto self = shared_from_this();
+    const auto behind = [this] {
+        return std::find_if(watched_.begin(), watched_.end(), [](const auto& entry) {
+            return entry.second.sent != entry.second.scene->now.scene;
+        });
+    };
+    try {
+        while (connection_->open()) {
+            if (behind() == watched_.end()) {
+                boost::system::error_code cancelled;
+                news_.expires_at(std::chrono::steady_clock::time_point::max());
+                co_await news_.async_wait(asio::redirect_error(asio::use_awaitable, cancelled));
+                continue;
+            }
+            co_await connection_->wait_until_drained(chunk_bytes);
+            auto& [name, watched] = *behind();
+            const auto newest = watched.scene->now.scene;
+            connection_->send({SceneUpdate{name, diff(*watched.sent, *newest)}, {}});
+            watched.sent = newest;
+        }
+    } catch (const std::exception& error) {
+        spdlog::info("{}: scene not sent: {}", description_, error.what());
+        connection_->close();
+    }
+}
+
 void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store) {
     const auto own = scenes_.find(request.spec.scene);
-    const ScenePtr scene =
-        own != scenes_.end() ? own->second : store.find_loaded(request.spec.scene);
-    if (!scene)
-        return fail(request.request,
-                    fmt::format("there is no scene '{}'; upload it first, or use one that the "
-                                "server has loaded ({})",
-                                request.spec.scene, fmt::join(store.loaded_names(), ", ")));
+    const ScenePtr scene = own != scenes_.end() ? own->second : store.find_open(request.spec.scene);
+    if (!scene) return fail(request.request, no_scene(request.spec.scene, store));
     if (frames_.contains(request.request))
         throw ProtocolError(fmt::format("uses request number {} twice", request.request));
     if (frames_.size() >= most_frames)

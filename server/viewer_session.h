@@ -27,6 +27,11 @@ public:
 private:
     void handle(Message message, RenderFarm& farm, SceneStore& store);
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
+    void share(const SceneShare& share, RenderFarm& farm, SceneStore& store);
+    void watch(const SceneWatch& watch, SceneStore& store);
+    void edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store);
+    void send_blobs_of(const BlobRequest& request, SceneStore& store);
+    asio::awaitable<void> keep_informed();
     void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
@@ -37,7 +42,14 @@ private:
     std::shared_ptr<Connection> connection_;
     std::function<Status()> status_;
     SceneReceiver receiver_;
-    std::map<std::string, ScenePtr> scenes_;         ///< uploaded, by the viewer's names
+    std::map<std::string, ScenePtr> scenes_;  ///< uploaded, by the viewer's names
+    struct Watched {
+        ScenePtr scene;
+        std::shared_ptr<const SceneVersion> sent;
+    };
+    std::map<std::string, Watched> watched_;
+    asio::steady_timer news_;     ///< cancelled whenever a watched scene has changed
+    unsigned blob_requests_ = 0;  ///< being answered
     std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
 };
 

@@ -486,5 +486,106 @@ TEST(Server, passes_stop_at_the_time_limit) {
     expect_exact(picture, expected);
 }
 
+// ---- Open scenes --------------------------------------------------------------------------------
+
+/// A viewer's copy of an open scene.
+struct Watcher {
+    std::shared_ptr<Connection> connection;
+    SceneVersion held = {};
+
+    /// Until it holds that version.
+    asio::awaitable<void> catch_up(std::uint64_t version) {
+        while (held.version < version) {
+            const Message message = co_await receive<SceneUpdate>(connection);
+            held = apply(held, message.get<SceneUpdate>()->delta);
+        }
+    }
+};
+
+asio::awaitable<EditResult> edit(std::shared_ptr<Connection> viewer,
+                                 std::vector<EditOperation> operations) {
+    viewer->send({SceneEdit{7, "scene", std::move(operations)}, {}});
+    const Message message = co_await receive<EditResult>(viewer);
+    co_return *message.get<EditResult>();
+}
+
+SetTransform moved(float x) {
+    SetTransform out{.instance = "i"};
+    out.world_from_object[3].x = x;
+    return out;
+}
+
+TEST(Server, an_edit_is_seen_by_all_who_watch_and_rendered) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        Watcher a, b;
+        a.connection = co_await join(host, Role::viewer);
+        b.connection = co_await join(host, Role::viewer);
+        for (Watcher* w : {&a, &b}) {
+            w->connection->send({SceneWatch{"scene"}, {}});
+            co_await w->catch_up(1);
+            EXPECT_EQ(w->held.scene.instances, small_scene(1).scene.instances);
+        }
+        const std::vector<EditOperation> moves = {moved(1), moved(2)};
+        const EditResult result = co_await edit(a.connection, moves);
+        EXPECT_EQ(result.request, 7u);
+        EXPECT_EQ(result.version, 2u);
+        EXPECT_TRUE(result.complaints.empty());
+        co_await b.catch_up(2);
+        EXPECT_EQ(b.held.scene.instances[0].world_from_object[3].x, 2);
+        expect_exact(co_await render(b.connection, small_request()), small_request().spec);
+    });
+}
+
+TEST(Server, edits_that_cannot_be_done_are_told_and_change_nothing) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        const std::vector<EditOperation> impossible = {DeleteInstance{"nobody"}};
+        const EditResult result = co_await edit(viewer, impossible);
+        EXPECT_EQ(result.version, 1u);
+        EXPECT_EQ(result.complaints, std::vector<std::string>{"there is no instance 'nobody'"});
+        viewer->send({SceneEdit{8, "elsewhere", {}}, {}});
+        const Message message = co_await receive<EditResult>(viewer);
+        EXPECT_EQ(message.get<EditResult>()->complaints.size(), 1u);
+    });
+}
+
+TEST(Server, a_shared_scene_is_open_to_others_and_outlives_its_viewer) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto owner = co_await join(host, Role::viewer);
+        owner->send({SceneShare{"scene"}, {}});
+        const Message refused = co_await receive<Failure>(owner);
+        EXPECT_NE(refused.get<Failure>()->reason.find("upload it first"), std::string::npos);
+        co_await upload(owner, small_scene(1));
+        owner->send({SceneShare{"scene"}, {}});
+        expect_exact(co_await render(owner, small_request()), small_request().spec);
+        owner->close();
+
+        const auto viewer = co_await join(host, Role::viewer);
+        const std::vector<EditOperation> move = {moved(3)}, again = {moved(4)};
+        const EditResult result = co_await edit(viewer, move);
+        EXPECT_EQ(result.version, 2u);
+        expect_exact(co_await render(viewer, small_request()), small_request().spec);
+        // Its blobs can be had, too.
+        const BlobId mesh = small_scene(1).scene.meshes[0];
+        viewer->send({BlobRequest{"scene", {mesh}}, {}});
+        const Message blob = co_await receive<BlobChunk>(viewer);
+        EXPECT_EQ(blob_id(blob.payload.bytes), mesh);
+        // An upload of the same name and content is the viewer's own, whatever others do to theirs.
+        co_await upload(viewer, small_scene(1));
+        const EditResult third = co_await edit(viewer, again);
+        EXPECT_EQ(third.version, 3u);
+        viewer->send({SceneShare{"scene"}, {}});
+        const Message taken = co_await receive<Failure>(viewer);
+        EXPECT_NE(taken.get<Failure>()->reason.find("'scene'"), std::string::npos);
+    });
+}
+
 }  // namespace
 }  // namespace tessera
