@@ -651,6 +651,55 @@ void unpack(const wire::FrameRequest& in, FrameRequest& v) {
     v.error_limit = amount(in.error_limit(), "error_limit");
 }
 
+void pack(const View& v, wire::View& out) {
+    out.set_request(v.request);
+    pack(v.spec, *out.mutable_spec());
+    out.set_format(pack_enum<wire::PictureFormat>(v.format));
+    out.set_tone_curve(pack_enum<wire::ToneCurve>(v.tone_map.curve));
+    out.set_exposure(v.tone_map.exposure);
+    out.set_shown(pack_enum<wire::Channel>(v.shown));
+    out.set_error_limit(v.error_limit);
+    out.set_stamp(v.stamp);
+}
+void unpack(const wire::View& in, View& v) {
+    if (in.request() == 0) refuse("request is 0");
+    require_set(in.has_spec(), "spec");
+    v.request = in.request();
+    unpack(in.spec(), v.spec);
+    v.format = unpack_enum(in.format(), PictureFormat::automatic, "format");
+    v.tone_map.curve = unpack_enum(in.tone_curve(), ToneCurve::filmic, "tone_curve");
+    v.tone_map.exposure = finite(in.exposure(), "exposure");
+    v.shown = unpack_enum(in.shown(), Channel::indirect, "shown channel");
+    v.error_limit = amount(in.error_limit(), "error_limit");
+    v.stamp = in.stamp();
+}
+
+void pack(const ViewEnd& v, wire::ViewEnd& out) { out.set_request(v.request); }
+void unpack(const wire::ViewEnd& in, ViewEnd& v) { v.request = in.request(); }
+
+void pack(const ViewPicture& v, wire::ViewPicture& out) {
+    out.set_request(v.request);
+    out.set_stamp(v.stamp);
+    out.set_version(v.version);
+    out.set_passes(v.passes);
+    out.set_settled(v.settled);
+    out.set_error_estimate(v.error_estimate);
+    out.set_first_seconds(v.first_seconds);
+    out.set_render_seconds(v.render_seconds);
+    out.set_rays(v.rays);
+}
+void unpack(const wire::ViewPicture& in, ViewPicture& v) {
+    v.request = in.request();
+    v.stamp = in.stamp();
+    v.version = in.version();
+    v.passes = in.passes();
+    v.settled = in.settled();
+    v.error_estimate = amount(in.error_estimate(), "error_estimate");
+    v.first_seconds = amount(in.first_seconds(), "first_seconds");
+    v.render_seconds = amount(in.render_seconds(), "render_seconds");
+    v.rays = in.rays();
+}
+
 void pack(const FrameCancel& v, wire::FrameCancel& out) { out.set_request(v.request); }
 void unpack(const wire::FrameCancel& in, FrameCancel& v) { v.request = in.request(); }
 
@@ -684,7 +733,7 @@ void pack(const PictureChunk& v, wire::PictureChunk& out) {
 void unpack(const wire::PictureChunk& in, PictureChunk& v) {
     v.request = in.request();
     v.channel = unpack_enum(in.channel(), Channel::indirect, "channel");
-    v.format = unpack_enum(in.format(), PictureFormat::srgb8, "format");
+    v.format = unpack_enum(in.format(), PictureFormat::jpeg, "format");
     v.width = std::uint32_t(unpack_side(in.width(), "width"));
     v.height = std::uint32_t(unpack_side(in.height(), "height"));
     v.components = in_range(in.components(), 1u, 4u, "components");
@@ -692,7 +741,9 @@ void unpack(const wire::PictureChunk& in, PictureChunk& v) {
     v.total = in.total();
     const std::uint64_t numbers = std::uint64_t(v.width) * v.height * v.components;
     const std::uint64_t bytes = numbers * (v.format == PictureFormat::linear_float ? 4 : 1);
-    if (v.total != bytes) refuse("total is {} bytes, must be {}", v.total, bytes);
+    const bool fits =
+        v.format == PictureFormat::jpeg ? v.total <= bytes + max_jpeg_overhead : v.total == bytes;
+    if (!fits) refuse("total is {} bytes, must be {}", v.total, bytes);
 }
 
 void pack(const FrameStatistics& v, wire::FrameStatistics& out) {
@@ -810,32 +861,33 @@ struct Entry {
 template <class... Entries>
 struct Table {};
 
-using Kinds =
-    Table<Entry<Hello, wire::Hello, wire::KIND_HELLO>,
-          Entry<Welcome, wire::Welcome, wire::KIND_WELCOME>,
-          Entry<Refused, wire::Refused, wire::KIND_REFUSED>,
-          Entry<SceneUpdate, wire::SceneUpdate, wire::KIND_SCENE_UPDATE>,
-          Entry<BlobRequest, wire::BlobRequest, wire::KIND_BLOB_REQUEST>,
-          Entry<BlobChunk, wire::BlobChunk, wire::KIND_BLOB_CHUNK>,
-          Entry<SceneReady, wire::SceneReady, wire::KIND_SCENE_READY>,
-          Entry<SceneDrop, wire::SceneDrop, wire::KIND_SCENE_DROP>,
-          Entry<FrameRequest, wire::FrameRequest, wire::KIND_FRAME_REQUEST>,
-          Entry<FrameCancel, wire::FrameCancel, wire::KIND_FRAME_CANCEL>,
-          Entry<FrameProgress, wire::FrameProgress, wire::KIND_FRAME_PROGRESS>,
-          Entry<PictureChunk, wire::PictureChunk, wire::KIND_PICTURE_CHUNK>,
-          Entry<FrameDone, wire::FrameDone, wire::KIND_FRAME_DONE>,
-          Entry<FrameBegin, wire::FrameBegin, wire::KIND_FRAME_BEGIN>,
-          Entry<FrameEnd, wire::FrameEnd, wire::KIND_FRAME_END>,
-          Entry<TileTask, wire::TileTask, wire::KIND_TILE_TASK>,
-          Entry<TileResult, wire::TileResult, wire::KIND_TILE_RESULT>,
-          Entry<Failure, wire::Failure, wire::KIND_FAILURE>,
-          Entry<StatusRequest, wire::StatusRequest, wire::KIND_STATUS_REQUEST>,
-          Entry<Status, wire::Status, wire::KIND_STATUS>, Entry<Ping, wire::Ping, wire::KIND_PING>,
-          Entry<Pong, wire::Pong, wire::KIND_PONG>,
-          Entry<SceneShare, wire::SceneShare, wire::KIND_SCENE_SHARE>,
-          Entry<SceneWatch, wire::SceneWatch, wire::KIND_SCENE_WATCH>,
-          Entry<SceneEdit, wire::SceneEdit, wire::KIND_SCENE_EDIT>,
-          Entry<EditResult, wire::EditResult, wire::KIND_EDIT_RESULT>>;
+using Kinds = Table<
+    Entry<Hello, wire::Hello, wire::KIND_HELLO>, Entry<Welcome, wire::Welcome, wire::KIND_WELCOME>,
+    Entry<Refused, wire::Refused, wire::KIND_REFUSED>,
+    Entry<SceneUpdate, wire::SceneUpdate, wire::KIND_SCENE_UPDATE>,
+    Entry<BlobRequest, wire::BlobRequest, wire::KIND_BLOB_REQUEST>,
+    Entry<BlobChunk, wire::BlobChunk, wire::KIND_BLOB_CHUNK>,
+    Entry<SceneReady, wire::SceneReady, wire::KIND_SCENE_READY>,
+    Entry<SceneDrop, wire::SceneDrop, wire::KIND_SCENE_DROP>,
+    Entry<FrameRequest, wire::FrameRequest, wire::KIND_FRAME_REQUEST>,
+    Entry<FrameCancel, wire::FrameCancel, wire::KIND_FRAME_CANCEL>,
+    Entry<FrameProgress, wire::FrameProgress, wire::KIND_FRAME_PROGRESS>,
+    Entry<PictureChunk, wire::PictureChunk, wire::KIND_PICTURE_CHUNK>,
+    Entry<FrameDone, wire::FrameDone, wire::KIND_FRAME_DONE>,
+    Entry<FrameBegin, wire::FrameBegin, wire::KIND_FRAME_BEGIN>,
+    Entry<FrameEnd, wire::FrameEnd, wire::KIND_FRAME_END>,
+    Entry<TileTask, wire::TileTask, wire::KIND_TILE_TASK>,
+    Entry<TileResult, wire::TileResult, wire::KIND_TILE_RESULT>,
+    Entry<Failure, wire::Failure, wire::KIND_FAILURE>,
+    Entry<StatusRequest, wire::StatusRequest, wire::KIND_STATUS_REQUEST>,
+    Entry<Status, wire::Status, wire::KIND_STATUS>, Entry<Ping, wire::Ping, wire::KIND_PING>,
+    Entry<Pong, wire::Pong, wire::KIND_PONG>,
+    Entry<SceneShare, wire::SceneShare, wire::KIND_SCENE_SHARE>,
+    Entry<SceneWatch, wire::SceneWatch, wire::KIND_SCENE_WATCH>,
+    Entry<SceneEdit, wire::SceneEdit, wire::KIND_SCENE_EDIT>,
+    Entry<EditResult, wire::EditResult, wire::KIND_EDIT_RESULT>,
+    Entry<View, wire::View, wire::KIND_VIEW>, Entry<ViewEnd, wire::ViewEnd, wire::KIND_VIEW_END>,
+    Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>>;
 
 /// Calls `f` with the entry for which `wanted(entry)` holds; returns whether there is one.
 template <class... Entries, class Wanted, class F>

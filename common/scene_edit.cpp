@@ -205,6 +205,12 @@ EditedScene apply_edits(Scene scene, const std::vector<EditOperation>& operation
     return out;
 }
 
+SetTransform moved(const Instance& instance, const vec3& to) {
+    SetTransform edit{.instance = instance.name, .world_from_object = instance.world_from_object};
+    edit.world_from_object[3] = vec4(to, 1);
+    return edit;
+}
+
 void make_names_unique(Scene& scene) {
     make_unique("object", scene.objects);
     make_unique("instance", scene.instances);

@@ -83,6 +83,9 @@ struct EditedScene {
 /// `scene` is.
 EditedScene apply_edits(Scene scene, const std::vector<EditOperation>& operations);
 
+/// Puts the instance's origin at `to`, turned and scaled as it is.
+SetTransform moved(const Instance& instance, const vec3& to);
+
 /// Gives every entry of a table its own name: those without one are called after their table and
 /// place, and a number is added to those that are taken.
 void make_names_unique(Scene& scene);

@@ -307,6 +307,28 @@ private:
         return {.request = big(), .scene = name(), .version = big(), .complaints = names()};
     }
 
+    View make_one(View) {
+        return {.request = 1 + big() / 2,
+                .spec = spec(),
+                .format = one_of(PictureFormat::automatic),
+                .tone_map = {.curve = one_of(ToneCurve::filmic), .exposure = real()},
+                .shown = one_of(Channel::indirect),
+                .error_limit = amount(),
+                .stamp = big()};
+    }
+    ViewEnd make_one(ViewEnd) { return {.request = big()}; }
+    ViewPicture make_one(ViewPicture) {
+        return {.request = big(),
+                .stamp = big(),
+                .version = big(),
+                .passes = number(),
+                .settled = coin(),
+                .error_estimate = amount(),
+                .first_seconds = amount(),
+                .render_seconds = amount(),
+                .rays = big()};
+    }
+
     template <class T>
     std::vector<T> list() {
         std::vector<T> out(below(4));

@@ -189,8 +189,8 @@ asio::awaitable<Picture> render(std::shared_ptr<Connection> viewer, FrameRequest
     co_return received.at(request.request);
 }
 
-/// The picture that the fake answers add up to.
-void expect_exact(const Picture& got, const FrameSpec& spec) {
+/// What the fake answers add up to.
+FrameSums exact_sums(const FrameSpec& spec) {
     FrameAssembler assembler(spec);
     FrameSums sums(spec);
     for (TileTask task : all_tasks(spec)) {
@@ -201,6 +201,11 @@ void expect_exact(const Picture& got, const FrameSpec& spec) {
             assembler.run_folded(std::move(*run));
         }
     }
+    return sums;
+}
+
+void expect_exact(const Picture& got, const FrameSpec& spec) {
+    const FrameSums sums = exact_sums(spec);
     ASSERT_EQ(got.failure, "");
     ASSERT_EQ(got.channels.size(), 3u);
     EXPECT_EQ(got.channels.at(Channel::radiance), sums.picture().data);
@@ -584,6 +589,131 @@ TEST(Server, a_shared_scene_is_open_to_others_and_outlives_its_viewer) {
         viewer->send({SceneShare{"scene"}, {}});
         const Message taken = co_await receive<Failure>(viewer);
         EXPECT_NE(taken.get<Failure>()->reason.find("'scene'"), std::string::npos);
+    });
+}
+
+// ---- Views --------------------------------------------------------------------------------------
+
+struct Shown {
+    ViewPicture about;
+    std::vector<float> values;
+};
+
+/// The next picture of a view; pings are answered, so that more may come.
+asio::awaitable<Shown> next_shown(std::shared_ptr<Connection> viewer) {
+    Shown out;
+    for (;;) {
+        const Message message = co_await viewer->receive();
+        if (const auto* ping = message.get<Ping>()) viewer->send({Pong{ping->stamp}, {}});
+        if (const auto* chunk = message.get<PictureChunk>()) {
+            out.values.resize(chunk->total / sizeof(float));
+            std::memcpy(reinterpret_cast<std::byte*>(out.values.data()) + chunk->offset,
+                        message.payload.bytes.data(), message.payload.bytes.size());
+        }
+        if (const auto* about = message.get<ViewPicture>()) {
+            out.about = *about;
+            co_return out;
+        }
+    }
+}
+
+asio::awaitable<Shown> settled(std::shared_ptr<Connection> viewer, std::uint64_t stamp) {
+    for (;;) {
+        Shown shown = co_await next_shown(viewer);
+        if (shown.about.settled && shown.about.stamp == stamp) co_return shown;
+    }
+}
+
+View small_view(std::uint64_t stamp, std::uint32_t passes) {
+    View view;
+    view.request = 1;
+    view.spec = small_request().spec;
+    view.spec.settings.passes = passes;
+    view.format = PictureFormat::linear_float;
+    view.stamp = stamp;
+    return view;
+}
+
+TEST(Server, a_view_shows_the_first_pass_and_settles_at_the_exact_picture) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        View view = small_view(5, 6);
+        viewer->send({view, {}});
+        const Shown first = co_await next_shown(viewer);
+        EXPECT_EQ(first.about.passes, 1u);
+        EXPECT_EQ(first.about.stamp, 5u);
+        view.spec.settings.passes = 1;
+        EXPECT_EQ(first.values, exact_sums(view.spec).picture().data);
+        const Shown last = co_await settled(viewer, 5);
+        view.spec.settings.passes = 6;
+        EXPECT_EQ(last.about.passes, 6u);
+        EXPECT_EQ(last.values, exact_sums(view.spec).picture().data);
+        // Another exposure shows the same samples, another channel is rendered.
+        view.stamp = 6;
+        view.tone_map.exposure = 1;
+        viewer->send({view, {}});
+        const Shown again = co_await next_shown(viewer);
+        EXPECT_TRUE(again.about.settled);
+        EXPECT_EQ(again.about.stamp, 6u);
+        view.stamp = 7;
+        view.shown = Channel::depth;
+        viewer->send({view, {}});
+        const Shown depth = co_await settled(viewer, 7);
+        EXPECT_EQ(depth.values, std::vector<float>(view.spec.size.pixels(), 1));
+    });
+}
+
+TEST(Server, a_view_begins_anew_when_camera_or_scene_change) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        View view = small_view(1, max_passes);
+        viewer->send({view, {}});
+        co_await next_shown(viewer);
+        for (view.stamp = 2; view.stamp <= 20; ++view.stamp) {
+            view.spec.camera.eye.x = float(view.stamp);
+            viewer->send({view, {}});
+        }
+        Shown shown = co_await next_shown(viewer);
+        while (shown.about.stamp < 20) {
+            const std::uint64_t before = shown.about.stamp;
+            shown = co_await next_shown(viewer);
+            EXPECT_GE(shown.about.stamp, before);
+        }
+        const std::vector<EditOperation> move = {moved(3)};
+        viewer->send({SceneEdit{7, "scene", move}, {}});
+        while (shown.about.version < 2) shown = co_await next_shown(viewer);
+        viewer->send({ViewEnd{1}, {}});
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->frames_in_flight, 0u);
+    });
+}
+
+TEST(Server, a_viewer_that_does_not_keep_up_misses_pictures_and_delays_nobody) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto slow = co_await join(host, Role::viewer);
+        const auto quick = co_await join(host, Role::viewer);
+        slow->send({small_view(1, 30), {}});
+        quick->send({small_view(1, 30), {}});
+        co_await settled(quick, 1);
+        // Its pings have not been answered, so no more than two pictures are under way to it.
+        slow->send({StatusRequest{}, {}});
+        int pictures = 0;
+        for (bool told = false; !told;) {
+            const Message message = co_await slow->receive();
+            if (message.get<ViewPicture>()) ++pictures;
+            told = message.get<Status>();
+        }
+        EXPECT_LE(pictures, 2);
     });
 }
 
