@@ -23,7 +23,7 @@ inline constexpr int panel_width = 330;
 struct ViewerMemory {
     WindowConfig window;
     std::map<std::string, Camera> cameras;  ///< by scene
-    ToneMap tone_map{.curve = ToneCurve::filmic, .exposure = 0};
+    ToneMap tone_map{.curve = ToneCurve::filmic, .exposure = 0.7f};
     bool panel = true;
 };
 
