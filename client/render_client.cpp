@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <utility>
@@ -16,7 +15,6 @@ namespace tessera {
 namespace {
 
 constexpr std::chrono::milliseconds tick_interval{100};
-constexpr std::chrono::seconds connect_timeout{5};
 
 /// Collects the chunks of one channel; whatever a broken server sends stays inside the picture.
 void place_chunk(const PictureChunk& chunk, std::span<const std::byte> bytes, ImageSize size,
@@ -78,11 +76,6 @@ struct Rendering {
 
 }  // namespace
 
-std::string token_from_environment() {
-    const char* token = std::getenv("TESSERA_TOKEN");
-    return token ? token : "";
-}
-
 struct RenderClient::State {
     RenderClientConfig config;
     asio::io_context io;
@@ -112,10 +105,10 @@ struct RenderClient::State {
     }
 
     asio::awaitable<void> serve() {
-        connection = co_await connect(parse_address(config.address), connect_timeout);
+        connection = co_await connect(parse_address(config.address), config.credentials.tls);
         connection->send({Hello{.role = Role::viewer,
                                 .build = TESSERA_VERSION,
-                                .token = config.token,
+                                .token = config.credentials.token,
                                 .name = "tessera"},
                           {}});
         for (;;) handle(co_await connection->receive());

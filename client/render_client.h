@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "common/image.h"
+#include "common/keys.h"
 #include "common/messages.h"
 #include "common/scene.h"
 
@@ -37,13 +38,9 @@ struct ShownPicture {
 
 struct RenderClientConfig {
     std::string address;  ///< host:port
-    std::string token;
+    Credentials credentials;
     std::function<void()> tick = [] {};
 };
-
-/// The token of TESSERA_TOKEN, empty when it is not set: never on a command line, where others
-/// could read it.
-std::string token_from_environment();
 
 class RenderClient {
 public:

@@ -81,6 +81,7 @@ private:
     void draw_display();
     void draw_cameras();
     void draw_selection();
+    void draw_selected_box();
     void draw_material(const Material& material);
     void draw_lights();
     void draw_workers();
