@@ -1,5 +1,5 @@
-// tessera bench: measures the quality of pictures itself, and hands over to tessera-bench, which
-// measures the worker's insides.
+// tessera bench: measures the quality of pictures and the latency of views itself, and hands over
+// to tessera-bench, which measures the worker's insides.
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -31,9 +31,10 @@ namespace {
 void add_bench_command(CLI::App& app) {
     CLI::App* command = app.add_subcommand(
         "bench",
-        "Measure quality, or the tracer: trace, build or stability; `tessera bench --help` tells "
-        "more");
+        "Measure quality, latency (view), or the tracer: trace, build or stability; `tessera bench "
+        "--help` tells more");
     add_quality_command(command);
+    add_view_bench_command(command);
     // Everything else behind `bench` is tessera-bench's to understand, its --help too.
     command->prefix_command();
     command->set_help_flag();

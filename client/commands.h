@@ -10,9 +10,12 @@ void add_render_command(CLI::App& app);
 void add_status_command(CLI::App& app);
 void add_compare_command(CLI::App& app);
 void add_scene_command(CLI::App& app);
+void add_edit_command(CLI::App& app);
+void add_view_command(CLI::App& app);
 void add_bench_command(CLI::App& app);
 /// To the command `bench`.
 void add_quality_command(CLI::App* bench);
+void add_view_bench_command(CLI::App* bench);
 void add_keys_command(CLI::App& app);
 
 /// `--keys`, for commands that talk to a server.

@@ -19,6 +19,8 @@ int main(int argc, char** argv) {
     add_status_command(app);
     add_compare_command(app);
     add_scene_command(app);
+    add_view_command(app);
+    add_edit_command(app);
     add_bench_command(app);
     add_keys_command(app);
     start_log("tessera", "warning");

@@ -4,9 +4,11 @@
 
 #include <cstring>
 #include <exception>
+#include <utility>
 
 #include "common/check.h"
 #include "common/connection.h"
+#include "common/jpeg.h"
 #include "common/scene_sync.h"
 
 namespace tessera {
@@ -34,137 +36,297 @@ void place_chunk(const PictureChunk& chunk, std::span<const std::byte> bytes, Im
     copy_to(std::as_writable_bytes(std::span(image.data)));
 }
 
+/// The newest picture of a view as its chunks arrive.
+struct PictureAssembly {
+    PictureChunk chunk;  ///< the last one
+    Bytes bytes;
+
+    void add(const PictureChunk& next, std::span<const std::byte> payload) {
+        if (next.offset == 0) bytes.resize(next.total);
+        if (next.total != bytes.size() || payload.size() > bytes.size() - next.offset)
+            throw ProtocolError("picture chunks that do not belong together");
+        chunk = next;
+        std::memcpy(bytes.data() + next.offset, payload.data(), payload.size());
+    }
+
+    ShownPicture picture(const ViewPicture& about) const {
+        const ImageSize size{int(chunk.width), int(chunk.height)};
+        ShownPicture out{
+            .about = about, .shown = chunk.channel, .size = size, .srgb8 = {}, .linear = {}};
+        if (chunk.format == PictureFormat::jpeg) {
+            out.srgb8 = decode_jpeg(bytes, size);
+        } else if (chunk.format == PictureFormat::srgb8) {
+            out.srgb8.resize(bytes.size());
+            std::memcpy(out.srgb8.data(), bytes.data(), bytes.size());
+        } else {
+            out.linear = Image(size, int(chunk.components));
+            std::memcpy(out.linear.data.data(), bytes.data(), bytes.size());
+        }
+        return out;
+    }
+};
+
+/// One at a time: what a call that waits has asked for.
+struct Rendering {
+    FrameRequest request;
+    std::function<void(const FrameProgress&)> progress;
+    RenderedFrame frame;
+    bool done = false;
+};
+
 }  // namespace
 
 struct RenderClient::State {
     RenderClientConfig config;
     asio::io_context io;
     std::shared_ptr<Connection> connection;
-    Welcome welcome;
-    std::uint64_t last_request = 0;
+    std::optional<std::exception_ptr> ended;  ///< why nothing more will arrive
+    std::optional<Welcome> welcome;
+    std::uint64_t last_request = std::uint64_t(1) << 32;  ///< views have the numbers below
 
-    /// Runs the network until `work` is done, with a tick in between.
-    void wait_for(asio::awaitable<void> work) {
-        bool finished = false;
-        std::exception_ptr failure;
-        asio::co_spawn(io, std::move(work), [&](std::exception_ptr error) {
-            finished = true;
-            failure = error;
-        });
-        while (!finished) {
-            io.restart();
-            io.run_one_for(tick_interval);
-            io.poll();
-            config.tick();
-        }
-        if (!failure) return;
-        try {
-            std::rethrow_exception(failure);
-        } catch (const boost::system::system_error& error) {
-            // The embedded server's own end says more than the connection's.
-            config.tick();
-            throw UserError(
-                fmt::format("lost the server at {}: {}", config.address, error.code().message()));
-        } catch (const ProtocolError& error) {
-            throw UserError(fmt::format("the server at {} broke the protocol: {}", config.address,
-                                        error.what()));
-        }
+    // What has arrived and was not taken.
+    std::vector<std::string> failures, complaints;
+    std::optional<Status> status;
+    std::optional<EditResult> edited;
+    bool uploaded = false;
+    Rendering rendering;
+    std::map<std::uint64_t, PictureAssembly> assemblies;
+    std::optional<ShownPicture> picture;
+
+    const SceneBundle* uploading = nullptr;
+    std::string watched;
+    SceneVersion scene;
+    SceneReceiver blobs;
+
+    // ---- Receiving ----
+
+    void start() {
+        asio::co_spawn(io, serve(), [this](std::exception_ptr error) { ended = error; });
     }
 
-    /// The next message that is about this client's work; failures become UserError.
-    asio::awaitable<Message> receive() {
-        for (;;) {
-            Message message = co_await connection->receive();
-            if (const auto* ping = message.get<Ping>()) {
-                connection->send({Pong{.stamp = ping->stamp}, {}});
-                continue;
-            }
-            if (const auto* failure = message.get<Failure>()) throw UserError(failure->reason);
-            if (const auto* refused = message.get<Refused>())
-                throw UserError(
-                    fmt::format("the server at {} refuses: {}", config.address, refused->reason));
-            co_return message;
-        }
-    }
-
-    asio::awaitable<void> shake_hands() {
+    asio::awaitable<void> serve() {
         connection = co_await connect(parse_address(config.address), config.credentials.tls);
         connection->send({Hello{.role = Role::viewer,
                                 .build = TESSERA_VERSION,
                                 .token = config.credentials.token,
                                 .name = "tessera"},
                           {}});
-        const Message answer = co_await receive();
-        if (!answer.get<Welcome>()) throw ProtocolError("no welcome after the hello");
-        welcome = *answer.get<Welcome>();
+        for (;;) handle(co_await connection->receive());
     }
 
-    asio::awaitable<void> upload(const std::string& name, const SceneBundle& bundle) {
-        const SceneVersion uploaded{.version = 1, .scene = bundle.scene};
-        connection->send({SceneUpdate{.scene = name, .delta = diff(SceneVersion{}, uploaded)}, {}});
-        for (;;) {
-            const Message message = co_await receive();
-            if (const auto* request = message.get<BlobRequest>())
-                co_await send_blobs(connection, bundle.blobs, request->blobs);
-            else if (message.get<SceneReady>())
-                co_return;
+    void handle(const Message& message) {
+        std::visit(
+            [&](const auto& body) {
+                if constexpr (requires { this->on(body, message.payload.bytes); })
+                    on(body, message.payload.bytes);
+                else if constexpr (requires { this->on(body); })
+                    on(body);
+            },
+            message.body);
+    }
+
+    void on(const Welcome& body) { welcome = body; }
+    void on(const Refused& body) {
+        throw UserError(fmt::format("the server at {} refuses: {}", config.address, body.reason));
+    }
+    void on(const Ping& body) { connection->send({Pong{.stamp = body.stamp}, {}}); }
+    void on(const Failure& body) {
+        (assemblies.contains(body.request) ? complaints : failures).push_back(body.reason);
+    }
+    void on(const Status& body) { status = body; }
+    void on(const EditResult& body) {
+        complaints.insert(complaints.end(), body.complaints.begin(), body.complaints.end());
+        edited = body;
+    }
+    void on(const SceneReady&) { uploaded = true; }
+    void on(const BlobRequest& body) {
+        if (uploading)
+            asio::co_spawn(io, send_blobs(connection, uploading->blobs, body.blobs),
+                           [this](std::exception_ptr error) {
+                               if (error) connection->close();
+                           });
+    }
+    void on(const SceneUpdate& body) {
+        if (body.scene != watched) return;
+        try {
+            scene = apply(scene, body.delta);
+        } catch (const std::runtime_error& error) {
+            throw ProtocolError(error.what());
+        }
+    }
+    void on(const BlobChunk& body, std::span<const std::byte> bytes) { blobs.add(body, bytes); }
+    void on(const FrameProgress& body) {
+        if (body.request == rendering.request.request) rendering.progress(body);
+    }
+    void on(const PictureChunk& body, std::span<const std::byte> bytes) {
+        if (const auto view = assemblies.find(body.request); view != assemblies.end())
+            view->second.add(body, bytes);
+        else if (body.request == rendering.request.request)
+            place_chunk(body, bytes, rendering.request.spec.size, rendering.frame);
+    }
+    void on(const ViewPicture& body) {
+        const auto view = assemblies.find(body.request);
+        if (view == assemblies.end() || view->second.bytes.empty()) return;
+        try {
+            picture = view->second.picture(body);
+        } catch (const std::runtime_error& error) {
+            throw ProtocolError(error.what());
+        }
+    }
+    void on(const FrameDone& body) {
+        if (body.request != rendering.request.request) return;
+        rendering.frame.statistics = body.statistics;
+        rendering.done = true;
+    }
+
+    // ---- Waiting ----
+
+    /// Runs the network for a while: until something has happened and nothing more is there.
+    void run_for(std::chrono::milliseconds time) {
+        io.restart();
+        io.run_one_for(time);
+        io.poll();
+        config.tick();
+        if (ended) rethrow(*ended);
+    }
+
+    [[noreturn]] void rethrow(std::exception_ptr error) {
+        try {
+            std::rethrow_exception(error);
+        } catch (const boost::system::system_error& lost) {
+            // The embedded server's own end says more than the connection's.
+            config.tick();
+            throw UserError(
+                fmt::format("lost the server at {}: {}", config.address, lost.code().message()));
+        } catch (const ProtocolError& broken) {
+            throw UserError(fmt::format("the server at {} broke the protocol: {}", config.address,
+                                        broken.what()));
         }
     }
 
-    asio::awaitable<void> render(const FrameRequest& request,
-                                 const std::function<void(const FrameProgress&)>& progress,
-                                 RenderedFrame& frame) {
-        connection->send({request, {}});
-        for (;;) {
-            const Message message = co_await receive();
-            if (const auto* report = message.get<FrameProgress>()) {
-                progress(*report);
-            } else if (const auto* chunk = message.get<PictureChunk>()) {
-                place_chunk(*chunk, message.payload.bytes, request.spec.size, frame);
-            } else if (const auto* done = message.get<FrameDone>()) {
-                frame.statistics = done->statistics;
-                co_return;
-            }
+    /// Throws UserError when the server says that what was asked for cannot be done.
+    template <class Condition>
+    void wait_until(const Condition& condition) {
+        while (!condition()) {
+            run_for(tick_interval);
+            if (failures.empty()) continue;
+            const std::string reason = failures.front();
+            failures.clear();
+            throw UserError(reason);
         }
     }
 
-    asio::awaitable<void> ask_status(Status& status) {
+    /// The server answers in order: failures of what was sent before are here by then.
+    Status ask_status() {
+        status.reset();
         connection->send({StatusRequest{}, {}});
-        for (;;) {
-            const Message message = co_await receive();
-            if (!message.get<Status>()) continue;
-            status = *message.get<Status>();
-            co_return;
-        }
+        wait_until([&] { return status.has_value(); });
+        return *std::exchange(status, {});
     }
 };
 
 RenderClient::RenderClient(const RenderClientConfig& config) : state_(std::make_unique<State>()) {
     state_->config = config;
-    state_->wait_for(state_->shake_hands());
+    state_->start();
+    state_->wait_until([&] { return state_->welcome.has_value(); });
 }
 
-RenderClient::~RenderClient() = default;
+RenderClient::~RenderClient() {
+    // Lets the coroutines come to their ends while all they use is there.
+    if (!state_->connection) return;
+    state_->connection->close();
+    state_->io.restart();
+    state_->io.poll();
+}
 
-const Welcome& RenderClient::welcome() const { return state_->welcome; }
+const Welcome& RenderClient::welcome() const { return *state_->welcome; }
 
 void RenderClient::upload_scene(const std::string& name, const SceneBundle& bundle) {
-    state_->wait_for(state_->upload(name, bundle));
+    const SceneVersion version{.version = 1, .scene = bundle.scene};
+    state_->uploading = &bundle;
+    state_->uploaded = false;
+    state_->connection->send(
+        {SceneUpdate{.scene = name, .delta = diff(SceneVersion{}, version)}, {}});
+    state_->wait_until([&] { return state_->uploaded; });
+    state_->uploading = nullptr;
 }
 
 RenderedFrame RenderClient::render(const FrameRequest& request,
                                    const std::function<void(const FrameProgress&)>& progress) {
-    FrameRequest numbered = request;
-    numbered.request = ++state_->last_request;
-    RenderedFrame frame;
-    state_->wait_for(state_->render(numbered, progress, frame));
-    return frame;
+    state_->rendering = {.request = request, .progress = progress, .frame = {}};
+    state_->rendering.request.request = ++state_->last_request;
+    state_->connection->send({state_->rendering.request, {}});
+    state_->wait_until([&] { return state_->rendering.done; });
+    return std::move(state_->rendering.frame);
 }
 
-Status RenderClient::status() {
-    Status status;
-    state_->wait_for(state_->ask_status(status));
-    return status;
+Status RenderClient::status() { return state_->ask_status(); }
+
+void RenderClient::share_scene(const std::string& name) {
+    state_->connection->send({SceneShare{name}, {}});
+    state_->ask_status();
+}
+
+void RenderClient::watch(const std::string& scene) {
+    state_->watched = scene;
+    state_->scene = {};
+    state_->connection->send({SceneWatch{scene}, {}});
+    state_->wait_until([&] { return state_->scene.version > 0; });
+}
+
+const SceneVersion& RenderClient::scene() const { return state_->scene; }
+
+EditResult RenderClient::edit(const std::string& scene,
+                              const std::vector<EditOperation>& operations) {
+    state_->edited.reset();
+    send_edit(scene, operations);
+    state_->wait_until(
+        [&] { return state_->edited && state_->edited->request == state_->last_request; });
+    state_->complaints.clear();
+    return *std::exchange(state_->edited, {});
+}
+
+BlobStore RenderClient::fetch_blobs(const std::string& scene, const std::vector<BlobId>& blobs) {
+    // A scene of nothing but these, so that the receiver knows what to wait for.
+    SceneVersion wanted{.version = 1, .scene = {}};
+    wanted.scene.meshes = blobs;
+    BlobRequest request =
+        state_->blobs.update({.scene = scene, .delta = diff(SceneVersion{}, wanted)});
+    state_->connection->send({std::move(request), {}});
+    std::optional<ReadyScene> ready;
+    state_->wait_until([&] {
+        ready = state_->blobs.take_ready();
+        return ready.has_value();
+    });
+    return ready->blobs;
+}
+
+void RenderClient::poll(std::chrono::milliseconds patience) {
+    state_->run_for(patience);
+    state_->complaints.insert(state_->complaints.end(), state_->failures.begin(),
+                              state_->failures.end());
+    state_->failures.clear();
+}
+
+void RenderClient::show(const View& view) {
+    state_->assemblies.try_emplace(view.request);
+    state_->connection->send({view, {}});
+}
+
+std::optional<ShownPicture> RenderClient::take_picture() {
+    return std::exchange(state_->picture, {});
+}
+
+void RenderClient::send_edit(const std::string& scene, std::vector<EditOperation> operations) {
+    state_->connection->send({SceneEdit{++state_->last_request, scene, std::move(operations)}, {}});
+}
+
+void RenderClient::ask_status() { state_->connection->send({StatusRequest{}, {}}); }
+
+std::optional<Status> RenderClient::take_status() { return std::exchange(state_->status, {}); }
+
+std::vector<std::string> RenderClient::take_complaints() {
+    return std::exchange(state_->complaints, {});
 }
 
 }  // namespace tessera

@@ -1,12 +1,16 @@
-// The viewer's side of the protocol as a library: connect, bring a scene, ask for pictures.
+// The viewer's side of the protocol as a library: connect, bring a scene, ask for pictures, edit,
+// and watch what the server keeps rendering.
 //
-// Calls block. While one waits it calls the client's `tick` about ten times a second; an exception
-// thrown there (the user interrupts, a child process died) ends the call.
+// Most calls block. While one waits it calls the client's `tick` about ten times a second; an
+// exception thrown there (the user interrupts, a child process died) ends the call. A live viewer
+// calls `poll` instead, and takes what has arrived.
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,6 +25,15 @@ struct RenderedFrame {
     std::vector<std::uint8_t> srgb8;    ///< the picture, when PictureFormat::srgb8 was asked for
     std::map<Channel, Image> channels;  ///< linear pictures; `radiance` is the picture itself
     FrameStatistics statistics;
+};
+
+/// A picture of a view.
+struct ShownPicture {
+    ViewPicture about;
+    Channel shown = Channel::radiance;
+    ImageSize size;
+    std::vector<std::uint8_t> srgb8;  ///< unless PictureFormat::linear_float was asked for
+    Image linear;
 };
 
 struct RenderClientConfig {
@@ -47,6 +60,31 @@ public:
                          const std::function<void(const FrameProgress&)>& progress);
 
     Status status();
+
+    /// Makes a scene that this client has uploaded open to all.
+    void share_scene(const std::string& name);
+    /// Holds an open scene from now on: the newest version that has arrived.
+    void watch(const std::string& scene);
+    /// Of the scene watched last.
+    const SceneVersion& scene() const;
+    /// Changes an open scene. What could not be done is in the result's complaints.
+    EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations);
+    /// Meshes and textures of an open scene.
+    BlobStore fetch_blobs(const std::string& scene, const std::vector<BlobId>& blobs);
+
+    // ---- Live: nothing here waits ----
+    /// Handles what has arrived, or arrives within `patience`. Throws UserError when the server is
+    /// lost.
+    void poll(std::chrono::milliseconds patience);
+    /// Begins the view or changes it (View::request is the client's to choose, 1 is a good number).
+    void show(const View& view);
+    /// The newest picture of any view, unless it has been taken.
+    std::optional<ShownPicture> take_picture();
+    void send_edit(const std::string& scene, std::vector<EditOperation> operations);
+    void ask_status();
+    std::optional<Status> take_status();
+    /// Complaints of edits, and why views cannot be rendered.
+    std::vector<std::string> take_complaints();
 
 private:
     struct State;

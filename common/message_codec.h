@@ -20,6 +20,8 @@ inline constexpr std::uint32_t max_tiles = 1u << 20;
 inline constexpr std::uint32_t max_passes = 1u << 24;
 inline constexpr std::uint32_t max_vpls = 1u << 16;
 inline constexpr std::uint32_t max_interleave = 64;
+/// A JPEG file takes at most this much more than the bytes of its picture.
+inline constexpr std::uint64_t max_jpeg_overhead = 64 << 10;
 /// Longest name, token or build text of a peer in bytes.
 inline constexpr std::size_t max_name_bytes = 256;
 

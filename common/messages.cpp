@@ -136,6 +136,9 @@ void unpack(const wire::SceneStatus& in, SceneStatus& v) {
     v.bytes = in.bytes();
 }
 
+void pack(const EditOperation& v, wire::EditOperation& out);
+void unpack(const wire::EditOperation& in, EditOperation& v);
+
 template <class T, class Field>
 void pack_each(const std::vector<T>& values, Field& out) {
     out.Reserve(int(values.size()));
@@ -243,18 +246,24 @@ void unpack(const wire::Object& in, Object& v) {
     v.materials.assign(in.materials().begin(), in.materials().end());
 }
 
+void pack(const mat4& v, google::protobuf::RepeatedField<float>& out) {
+    const float* first = &v[0][0];
+    out.Assign(first, first + 16);
+}
+void unpack(const google::protobuf::RepeatedField<float>& in, mat4& v) {
+    if (in.size() != 16) refuse("transform of {} numbers, must be 16", in.size());
+    std::memcpy(&v[0][0], in.data(), sizeof(mat4));
+}
+
 void pack(const Instance& v, wire::Instance& out) {
     out.set_name(v.name);
     out.set_object(v.object);
-    const float* first = &v.world_from_object[0][0];
-    out.mutable_world_from_object()->Assign(first, first + 16);
+    pack(v.world_from_object, *out.mutable_world_from_object());
 }
 void unpack(const wire::Instance& in, Instance& v) {
-    if (in.world_from_object_size() != 16)
-        refuse("transform of {} numbers, must be 16", in.world_from_object_size());
     v.name = in.name();
     v.object = in.object();
-    std::memcpy(&v.world_from_object[0][0], in.world_from_object().data(), sizeof(mat4));
+    unpack(in.world_from_object(), v.world_from_object);
 }
 
 void pack(const Light& v, wire::Light& out) {
@@ -389,6 +398,154 @@ void unpack(const wire::SceneReady& in, SceneReady& v) {
 
 void pack(const SceneDrop& v, wire::SceneDrop& out) { out.set_scene(v.scene); }
 void unpack(const wire::SceneDrop& in, SceneDrop& v) { v.scene = in.scene(); }
+
+// ---- Edits --------------------------------------------------------------------------------------
+
+void pack(const SetTransform& v, wire::SetTransform& out) {
+    out.set_instance(v.instance);
+    pack(v.world_from_object, *out.mutable_world_from_object());
+}
+void unpack(const wire::SetTransform& in, SetTransform& v) {
+    v.instance = in.instance();
+    unpack(in.world_from_object(), v.world_from_object);
+}
+
+void pack(const CreateInstance& v, wire::CreateInstance& out) {
+    out.set_instance(v.instance);
+    out.set_object(v.object);
+    pack(v.world_from_object, *out.mutable_world_from_object());
+}
+void unpack(const wire::CreateInstance& in, CreateInstance& v) {
+    v.instance = in.instance();
+    v.object = in.object();
+    unpack(in.world_from_object(), v.world_from_object);
+}
+
+void pack(const DeleteInstance& v, wire::DeleteInstance& out) { out.set_instance(v.instance); }
+void unpack(const wire::DeleteInstance& in, DeleteInstance& v) { v.instance = in.instance(); }
+
+std::optional<vec3> optional_of(bool set, const wire::Vec3& in) {
+    if (!set) return std::nullopt;
+    return vec3(in.x(), in.y(), in.z());
+}
+std::optional<float> optional_of(bool set, float in) {
+    return set ? std::optional(in) : std::nullopt;
+}
+
+void pack(const SetMaterial& v, wire::SetMaterial& out) {
+    out.set_material(v.material);
+    if (v.base_color) pack(*v.base_color, *out.mutable_base_color());
+    if (v.metallic) out.set_metallic(*v.metallic);
+    if (v.roughness) out.set_roughness(*v.roughness);
+    if (v.emission) pack(*v.emission, *out.mutable_emission());
+}
+void unpack(const wire::SetMaterial& in, SetMaterial& v) {
+    v.material = in.material();
+    v.base_color = optional_of(in.has_base_color(), in.base_color());
+    v.metallic = optional_of(in.has_metallic(), in.metallic());
+    v.roughness = optional_of(in.has_roughness(), in.roughness());
+    v.emission = optional_of(in.has_emission(), in.emission());
+}
+
+void pack(const SetLight& v, wire::SetLight& out) {
+    out.set_light(v.light);
+    if (v.position) pack(*v.position, *out.mutable_position());
+    if (v.direction) pack(*v.direction, *out.mutable_direction());
+    if (v.intensity) pack(*v.intensity, *out.mutable_intensity());
+    if (v.inner_angle) out.set_inner_angle(*v.inner_angle);
+    if (v.outer_angle) out.set_outer_angle(*v.outer_angle);
+}
+void unpack(const wire::SetLight& in, SetLight& v) {
+    v.light = in.light();
+    v.position = optional_of(in.has_position(), in.position());
+    v.direction = optional_of(in.has_direction(), in.direction());
+    v.intensity = optional_of(in.has_intensity(), in.intensity());
+    v.inner_angle = optional_of(in.has_inner_angle(), in.inner_angle());
+    v.outer_angle = optional_of(in.has_outer_angle(), in.outer_angle());
+}
+
+void pack(const CreateLight& v, wire::CreateLight& out) { pack(v.light, *out.mutable_light()); }
+void unpack(const wire::CreateLight& in, CreateLight& v) {
+    require_set(in.has_light(), "light");
+    unpack(in.light(), v.light);
+}
+
+void pack(const DeleteLight& v, wire::DeleteLight& out) { out.set_light(v.light); }
+void unpack(const wire::DeleteLight& in, DeleteLight& v) { v.light = in.light(); }
+
+void pack(const SetCamera& v, wire::SetCamera& out) { pack(v.camera, *out.mutable_camera()); }
+void unpack(const wire::SetCamera& in, SetCamera& v) {
+    require_set(in.has_camera(), "camera");
+    unpack(in.camera(), v.camera);
+}
+
+void pack(const EditOperation& v, wire::EditOperation& out) {
+    struct Packer {
+        wire::EditOperation& out;
+        void operator()(const SetTransform& e) { pack(e, *out.mutable_set_transform()); }
+        void operator()(const CreateInstance& e) { pack(e, *out.mutable_create_instance()); }
+        void operator()(const DeleteInstance& e) { pack(e, *out.mutable_delete_instance()); }
+        void operator()(const SetMaterial& e) { pack(e, *out.mutable_set_material()); }
+        void operator()(const SetLight& e) { pack(e, *out.mutable_set_light()); }
+        void operator()(const CreateLight& e) { pack(e, *out.mutable_create_light()); }
+        void operator()(const DeleteLight& e) { pack(e, *out.mutable_delete_light()); }
+        void operator()(const SetCamera& e) { pack(e, *out.mutable_set_camera()); }
+    };
+    std::visit(Packer{out}, v);
+}
+void unpack(const wire::EditOperation& in, EditOperation& v) {
+    using Wire = wire::EditOperation;
+    switch (in.operation_case()) {
+        case Wire::kSetTransform:
+            return unpack(in.set_transform(), v.emplace<SetTransform>());
+        case Wire::kCreateInstance:
+            return unpack(in.create_instance(), v.emplace<CreateInstance>());
+        case Wire::kDeleteInstance:
+            return unpack(in.delete_instance(), v.emplace<DeleteInstance>());
+        case Wire::kSetMaterial:
+            return unpack(in.set_material(), v.emplace<SetMaterial>());
+        case Wire::kSetLight:
+            return unpack(in.set_light(), v.emplace<SetLight>());
+        case Wire::kCreateLight:
+            return unpack(in.create_light(), v.emplace<CreateLight>());
+        case Wire::kDeleteLight:
+            return unpack(in.delete_light(), v.emplace<DeleteLight>());
+        case Wire::kSetCamera:
+            return unpack(in.set_camera(), v.emplace<SetCamera>());
+        case Wire::OPERATION_NOT_SET:
+            refuse("operation is not set");
+    }
+}
+
+void pack(const SceneShare& v, wire::SceneShare& out) { out.set_scene(v.scene); }
+void unpack(const wire::SceneShare& in, SceneShare& v) { v.scene = in.scene(); }
+
+void pack(const SceneWatch& v, wire::SceneWatch& out) { out.set_scene(v.scene); }
+void unpack(const wire::SceneWatch& in, SceneWatch& v) { v.scene = in.scene(); }
+
+void pack(const SceneEdit& v, wire::SceneEdit& out) {
+    out.set_request(v.request);
+    out.set_scene(v.scene);
+    pack_each(v.operations, *out.mutable_operations());
+}
+void unpack(const wire::SceneEdit& in, SceneEdit& v) {
+    v.request = in.request();
+    v.scene = in.scene();
+    unpack_each(in.operations(), v.operations);
+}
+
+void pack(const EditResult& v, wire::EditResult& out) {
+    out.set_request(v.request);
+    out.set_scene(v.scene);
+    out.set_version(v.version);
+    pack_texts(v.complaints, *out.mutable_complaints());
+}
+void unpack(const wire::EditResult& in, EditResult& v) {
+    v.request = in.request();
+    v.scene = in.scene();
+    v.version = in.version();
+    v.complaints = unpack_texts(in.complaints());
+}
 
 // ---- Session ------------------------------------------------------------------------------------
 
@@ -528,6 +685,55 @@ void unpack(const wire::FrameRequest& in, FrameRequest& v) {
     v.error_limit = amount(in.error_limit(), "error_limit");
 }
 
+void pack(const View& v, wire::View& out) {
+    out.set_request(v.request);
+    pack(v.spec, *out.mutable_spec());
+    out.set_format(pack_enum<wire::PictureFormat>(v.format));
+    out.set_tone_curve(pack_enum<wire::ToneCurve>(v.tone_map.curve));
+    out.set_exposure(v.tone_map.exposure);
+    out.set_shown(pack_enum<wire::Channel>(v.shown));
+    out.set_error_limit(v.error_limit);
+    out.set_stamp(v.stamp);
+}
+void unpack(const wire::View& in, View& v) {
+    if (in.request() == 0) refuse("request is 0");
+    require_set(in.has_spec(), "spec");
+    v.request = in.request();
+    unpack(in.spec(), v.spec);
+    v.format = unpack_enum(in.format(), PictureFormat::automatic, "format");
+    v.tone_map.curve = unpack_enum(in.tone_curve(), ToneCurve::filmic, "tone_curve");
+    v.tone_map.exposure = finite(in.exposure(), "exposure");
+    v.shown = unpack_enum(in.shown(), Channel::indirect, "shown channel");
+    v.error_limit = amount(in.error_limit(), "error_limit");
+    v.stamp = in.stamp();
+}
+
+void pack(const ViewEnd& v, wire::ViewEnd& out) { out.set_request(v.request); }
+void unpack(const wire::ViewEnd& in, ViewEnd& v) { v.request = in.request(); }
+
+void pack(const ViewPicture& v, wire::ViewPicture& out) {
+    out.set_request(v.request);
+    out.set_stamp(v.stamp);
+    out.set_version(v.version);
+    out.set_passes(v.passes);
+    out.set_settled(v.settled);
+    out.set_error_estimate(v.error_estimate);
+    out.set_first_seconds(v.first_seconds);
+    out.set_render_seconds(v.render_seconds);
+    out.set_rays(v.rays);
+}
+void unpack(const wire::ViewPicture& in, ViewPicture& v) {
+    v.request = in.request();
+    v.stamp = in.stamp();
+    v.version = in.version();
+    v.passes = in.passes();
+    v.settled = in.settled();
+    v.error_estimate = amount(in.error_estimate(), "error_estimate");
+    v.first_seconds = amount(in.first_seconds(), "first_seconds");
+    v.render_seconds = amount(in.render_seconds(), "render_seconds");
+    v.rays = in.rays();
+}
+
 void pack(const FrameCancel& v, wire::FrameCancel& out) { out.set_request(v.request); }
 void unpack(const wire::FrameCancel& in, FrameCancel& v) { v.request = in.request(); }
 
@@ -561,7 +767,7 @@ void pack(const PictureChunk& v, wire::PictureChunk& out) {
 void unpack(const wire::PictureChunk& in, PictureChunk& v) {
     v.request = in.request();
     v.channel = unpack_enum(in.channel(), Channel::indirect, "channel");
-    v.format = unpack_enum(in.format(), PictureFormat::srgb8, "format");
+    v.format = unpack_enum(in.format(), PictureFormat::jpeg, "format");
     v.width = std::uint32_t(unpack_side(in.width(), "width"));
     v.height = std::uint32_t(unpack_side(in.height(), "height"));
     v.components = in_range(in.components(), 1u, 4u, "components");
@@ -569,7 +775,9 @@ void unpack(const wire::PictureChunk& in, PictureChunk& v) {
     v.total = in.total();
     const std::uint64_t numbers = std::uint64_t(v.width) * v.height * v.components;
     const std::uint64_t bytes = numbers * (v.format == PictureFormat::linear_float ? 4 : 1);
-    if (v.total != bytes) refuse("total is {} bytes, must be {}", v.total, bytes);
+    const bool fits =
+        v.format == PictureFormat::jpeg ? v.total <= bytes + max_jpeg_overhead : v.total == bytes;
+    if (!fits) refuse("total is {} bytes, must be {}", v.total, bytes);
 }
 
 void pack(const FrameStatistics& v, wire::FrameStatistics& out) {
@@ -687,28 +895,33 @@ struct Entry {
 template <class... Entries>
 struct Table {};
 
-using Kinds =
-    Table<Entry<Hello, wire::Hello, wire::KIND_HELLO>,
-          Entry<Welcome, wire::Welcome, wire::KIND_WELCOME>,
-          Entry<Refused, wire::Refused, wire::KIND_REFUSED>,
-          Entry<SceneUpdate, wire::SceneUpdate, wire::KIND_SCENE_UPDATE>,
-          Entry<BlobRequest, wire::BlobRequest, wire::KIND_BLOB_REQUEST>,
-          Entry<BlobChunk, wire::BlobChunk, wire::KIND_BLOB_CHUNK>,
-          Entry<SceneReady, wire::SceneReady, wire::KIND_SCENE_READY>,
-          Entry<SceneDrop, wire::SceneDrop, wire::KIND_SCENE_DROP>,
-          Entry<FrameRequest, wire::FrameRequest, wire::KIND_FRAME_REQUEST>,
-          Entry<FrameCancel, wire::FrameCancel, wire::KIND_FRAME_CANCEL>,
-          Entry<FrameProgress, wire::FrameProgress, wire::KIND_FRAME_PROGRESS>,
-          Entry<PictureChunk, wire::PictureChunk, wire::KIND_PICTURE_CHUNK>,
-          Entry<FrameDone, wire::FrameDone, wire::KIND_FRAME_DONE>,
-          Entry<FrameBegin, wire::FrameBegin, wire::KIND_FRAME_BEGIN>,
-          Entry<FrameEnd, wire::FrameEnd, wire::KIND_FRAME_END>,
-          Entry<TileTask, wire::TileTask, wire::KIND_TILE_TASK>,
-          Entry<TileResult, wire::TileResult, wire::KIND_TILE_RESULT>,
-          Entry<Failure, wire::Failure, wire::KIND_FAILURE>,
-          Entry<StatusRequest, wire::StatusRequest, wire::KIND_STATUS_REQUEST>,
-          Entry<Status, wire::Status, wire::KIND_STATUS>, Entry<Ping, wire::Ping, wire::KIND_PING>,
-          Entry<Pong, wire::Pong, wire::KIND_PONG>>;
+using Kinds = Table<
+    Entry<Hello, wire::Hello, wire::KIND_HELLO>, Entry<Welcome, wire::Welcome, wire::KIND_WELCOME>,
+    Entry<Refused, wire::Refused, wire::KIND_REFUSED>,
+    Entry<SceneUpdate, wire::SceneUpdate, wire::KIND_SCENE_UPDATE>,
+    Entry<BlobRequest, wire::BlobRequest, wire::KIND_BLOB_REQUEST>,
+    Entry<BlobChunk, wire::BlobChunk, wire::KIND_BLOB_CHUNK>,
+    Entry<SceneReady, wire::SceneReady, wire::KIND_SCENE_READY>,
+    Entry<SceneDrop, wire::SceneDrop, wire::KIND_SCENE_DROP>,
+    Entry<FrameRequest, wire::FrameRequest, wire::KIND_FRAME_REQUEST>,
+    Entry<FrameCancel, wire::FrameCancel, wire::KIND_FRAME_CANCEL>,
+    Entry<FrameProgress, wire::FrameProgress, wire::KIND_FRAME_PROGRESS>,
+    Entry<PictureChunk, wire::PictureChunk, wire::KIND_PICTURE_CHUNK>,
+    Entry<FrameDone, wire::FrameDone, wire::KIND_FRAME_DONE>,
+    Entry<FrameBegin, wire::FrameBegin, wire::KIND_FRAME_BEGIN>,
+    Entry<FrameEnd, wire::FrameEnd, wire::KIND_FRAME_END>,
+    Entry<TileTask, wire::TileTask, wire::KIND_TILE_TASK>,
+    Entry<TileResult, wire::TileResult, wire::KIND_TILE_RESULT>,
+    Entry<Failure, wire::Failure, wire::KIND_FAILURE>,
+    Entry<StatusRequest, wire::StatusRequest, wire::KIND_STATUS_REQUEST>,
+    Entry<Status, wire::Status, wire::KIND_STATUS>, Entry<Ping, wire::Ping, wire::KIND_PING>,
+    Entry<Pong, wire::Pong, wire::KIND_PONG>,
+    Entry<SceneShare, wire::SceneShare, wire::KIND_SCENE_SHARE>,
+    Entry<SceneWatch, wire::SceneWatch, wire::KIND_SCENE_WATCH>,
+    Entry<SceneEdit, wire::SceneEdit, wire::KIND_SCENE_EDIT>,
+    Entry<EditResult, wire::EditResult, wire::KIND_EDIT_RESULT>,
+    Entry<View, wire::View, wire::KIND_VIEW>, Entry<ViewEnd, wire::ViewEnd, wire::KIND_VIEW_END>,
+    Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>>;
 
 /// Calls `f` with the entry for which `wanted(entry)` holds; returns whether there is one.
 template <class... Entries, class Wanted, class F>

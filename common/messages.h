@@ -2,12 +2,14 @@
 // common/messages.cpp is the only place where Protocol Buffers become values and back.
 //
 //   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
-//   viewer -> server   Hello, SceneUpdate, BlobChunk*, FrameRequest, FrameCancel, StatusRequest,
-//                      Ping, Pong
+//   viewer -> server   Hello, SceneUpdate, BlobChunk*, SceneShare, SceneWatch, BlobRequest,
+//                      SceneEdit, View, ViewEnd, FrameRequest, FrameCancel, StatusRequest, Ping,
+//                      Pong
 //   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
 //                      FrameEnd, Ping
-//   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, FrameProgress, PictureChunk*,
-//                      FrameDone, Failure, Status, Ping, Pong
+//   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
+//                      EditResult, FrameProgress, PictureChunk*, ViewPicture, FrameDone, Failure,
+//                      Status, Ping, Pong
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
 
@@ -22,13 +24,14 @@
 
 #include "common/blob.h"
 #include "common/scene_delta.h"
+#include "common/scene_edit.h"
 #include "common/tile.h"
 #include "common/tone_map.h"
 
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 1;
+inline constexpr std::uint32_t protocol_version = 2;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -103,10 +106,40 @@ struct SceneDrop {
     bool operator==(const SceneDrop&) const = default;
 };
 
+/// A scene that this viewer has uploaded becomes open to all, for as long as the server runs.
+struct SceneShare {
+    std::string scene;
+
+    bool operator==(const SceneShare&) const = default;
+};
+/// The viewer wants to hold this open scene: SceneUpdates follow, now and after every change.
+struct SceneWatch {
+    std::string scene;
+
+    bool operator==(const SceneWatch&) const = default;
+};
+struct SceneEdit {
+    std::uint64_t request = 0;  ///< the viewer's own number, echoed in EditResult
+    std::string scene;
+    std::vector<EditOperation> operations;
+
+    bool operator==(const SceneEdit&) const = default;
+};
+struct EditResult {
+    std::uint64_t request = 0;
+    std::string scene;
+    std::uint64_t version = 0;  ///< the newest
+    std::vector<std::string> complaints;
+
+    bool operator==(const EditResult&) const = default;
+};
+
 /// How the picture shall come back.
 enum class PictureFormat : std::uint8_t {
     linear_float,  ///< 32-bit floats, linear
     srgb8,         ///< 8-bit RGB, tone mapped on the server
+    jpeg,          ///< the same, compressed; of views only
+    automatic,     ///< in View only: jpeg, but srgb8 once the picture has settled
 };
 /// Asks for one picture; spec.frame and spec.version are the server's to fill.
 struct FrameRequest {
@@ -118,6 +151,37 @@ struct FrameRequest {
     double error_limit = 0;  ///< error estimate at which passes stop; 0: none
 
     bool operator==(const FrameRequest&) const = default;
+};
+/// Begins a view that the server keeps rendering, or changes the one of that number.
+struct View {
+    std::uint64_t request = 0;
+    FrameSpec spec;  ///< settled after settings.passes
+    PictureFormat format = PictureFormat::automatic;
+    ToneMap tone_map;
+    Channel shown = Channel::radiance;  ///< radiance: the picture
+    double error_limit = 0;             ///< settled at this error estimate; 0: none
+    std::uint64_t stamp = 0;            ///< the viewer's own, echoed in ViewPicture
+
+    bool operator==(const View&) const = default;
+};
+struct ViewEnd {
+    std::uint64_t request = 0;
+
+    bool operator==(const ViewEnd&) const = default;
+};
+/// Follows the last PictureChunk of a picture of a view.
+struct ViewPicture {
+    std::uint64_t request = 0;
+    std::uint64_t stamp = 0;
+    std::uint64_t version = 0;  ///< of the scene
+    std::uint32_t passes = 0;
+    bool settled = false;  ///< no better one comes until something changes
+    double error_estimate = 0;
+    double first_seconds = 0;   ///< first tile handed out to the end of the first passes
+    double render_seconds = 0;  ///< to the end of these
+    std::uint64_t rays = 0;
+
+    bool operator==(const ViewPicture&) const = default;
 };
 struct FrameCancel {
     std::uint64_t request = 0;
@@ -245,10 +309,11 @@ struct Pong {
     bool operator==(const Pong&) const = default;
 };
 
-using MessageBody = std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk,
-                                 SceneReady, SceneDrop, FrameRequest, FrameCancel, FrameProgress,
-                                 PictureChunk, FrameDone, FrameBegin, FrameEnd, TileTask,
-                                 TileResult, Failure, StatusRequest, Status, Ping, Pong>;
+using MessageBody =
+    std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk, SceneReady,
+                 SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
+                 FrameBegin, FrameEnd, TileTask, TileResult, Failure, StatusRequest, Status, Ping,
+                 Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture>;
 
 /// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
 struct Payload {

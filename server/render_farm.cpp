@@ -289,6 +289,21 @@ void RenderFarm::run_folded(std::uint64_t frame, RunBuffer run) {
     Job& job = *found->second;
     job.sums->finish_run(run);
     job.error_estimate = job.sums->error_estimate();
+    const auto look = job.observer.look ? job.observer.look(statistics(job))
+                                        : std::function<void(const FrameSums&)>();
+    if (!look) return run_seen(frame, std::move(run));
+    asio::post(pool_, [this, look, sums = job.sums, frame,
+                       seen = std::make_shared<RunBuffer>(std::move(run))] {
+        look(*sums);
+        asio::post(strand_, [this, seen, frame] { run_seen(frame, std::move(*seen)); });
+    });
+}
+
+/// Lets the next run be folded.
+void RenderFarm::run_seen(std::uint64_t frame, RunBuffer run) {
+    const auto found = jobs_.find(frame);
+    if (found == jobs_.end()) return;
+    Job& job = *found->second;
     job.assembler.run_folded(std::move(run));
     stop_at_limits(job);
     scheduler_.allow_runs(frame, job.assembler.run_limit());

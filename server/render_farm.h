@@ -29,6 +29,9 @@ struct FrameObserver {
     std::function<void(const FrameProgress&)> progress;
     std::function<void(FinishedFrame)> done;
     std::function<void(const std::string& reason)> failed;
+    /// May be empty. Called after every run of passes; what it returns, if anything, runs on the
+    /// pool before the sums change again.
+    std::function<std::function<void(const FrameSums&)>(const FrameStatistics&)> look = {};
 };
 
 class RenderFarm {
@@ -39,6 +42,8 @@ public:
 
     /// Workers get this scene as soon as they join.
     void keep_ready(ScenePtr scene);
+    /// A scene that is kept ready has a newer version: workers get it after frames in flight.
+    void scene_changed(const std::string& name) { sync_scene(name); }
     /// No new frames of the scene will come: workers drop it after those in flight.
     void drop_scene(const std::string& name);
 
@@ -62,6 +67,7 @@ public:
     std::vector<WorkerStatus> worker_status() const;
     std::uint32_t frames_in_flight() const { return std::uint32_t(jobs_.size()); }
     std::uint64_t frames_done() const { return frames_done_; }
+    asio::any_io_executor strand() const { return strand_; }
     /// For other work that is too heavy for the strand.
     asio::any_io_executor pool() { return pool_.get_executor(); }
 
@@ -79,6 +85,7 @@ private:
 
     void fold_next(Job& job);
     void run_folded(std::uint64_t frame, RunBuffer run);
+    void run_seen(std::uint64_t frame, RunBuffer run);
     void stop_at_limits(Job& job);
     void finish_if_complete(Job& job);
     void end_job(std::uint64_t frame);

@@ -12,6 +12,8 @@ namespace {
 
 /// Bytes kept of a viewer's name for a scene, so that the number still fits a message.
 constexpr std::size_t longest_stem = 200;
+/// Open scenes stay, so viewers may not make them without end.
+constexpr std::size_t most_open = 64;
 
 void set_version(StoredScene& stored, SceneVersion version, const BlobStore& blobs) {
     stored.now.scene = std::make_shared<const SceneVersion>(std::move(version));
@@ -21,36 +23,64 @@ void set_version(StoredScene& stored, SceneVersion version, const BlobStore& blo
 
 }  // namespace
 
-ScenePtr SceneStore::load(const std::string& name, const SceneBundle& bundle) {
-    if (find_loaded(name)) throw UserError(fmt::format("two scenes are called '{}'", name));
-    loaded_.push_back(add(name, {.version = 1, .scene = bundle.scene}, bundle.blobs));
-    return loaded_.back();
+ScenePtr SceneStore::open(const std::string& name, Scene scene, const BlobStore& blobs) {
+    if (is_taken(name)) throw UserError(fmt::format("two scenes are called '{}'", name));
+    if (open_.size() >= most_open)
+        throw UserError(fmt::format("the server holds {} open scenes already", most_open));
+    make_names_unique(scene);
+    open_.push_back(add(name, {.version = 1, .scene = std::move(scene)}, blobs));
+    return open_.back();
 }
 
 ScenePtr SceneStore::publish(const ScenePtr& before, const ReadyScene& uploaded) {
     const Scene& scene = uploaded.scene->scene;
     for (const ScenePtr& other : all())
-        if (other->now.scene->scene == scene) return other;
+        if (other->now.scene->scene == scene && !is_open(other)) return other;
     // Held by the viewer's session alone: its argument is a reference to what the session holds.
     if (before && before.use_count() == 1) {
         set_version(*before, {.version = before->now.scene->version + 1, .scene = scene},
                     uploaded.blobs);
         return before;
     }
-    const std::string name =
-        fmt::format("{}#{}", uploaded.name.substr(0, longest_stem), ++uploads_);
+    const auto numbered = [&] {
+        return fmt::format("{}#{}", uploaded.name.substr(0, longest_stem), ++uploads_);
+    };
+    std::string name = numbered();
+    while (is_taken(name)) name = numbered();
     return add(name, {.version = 1, .scene = scene}, uploaded.blobs);
 }
 
-ScenePtr SceneStore::find_loaded(const std::string& name) const {
-    const auto found = std::find_if(loaded_.begin(), loaded_.end(),
-                                    [&](const ScenePtr& s) { return s->now.name == name; });
-    return found == loaded_.end() ? nullptr : *found;
+std::vector<std::string> SceneStore::edit(const ScenePtr& scene,
+                                          const std::vector<EditOperation>& operations) {
+    const SceneVersion& now = *scene->now.scene;
+    EditedScene edited = apply_edits(now.scene, operations);
+    if (edited.scene == now.scene) return edited.complaints;
+    set_version(*scene, {.version = now.version + 1, .scene = std::move(edited.scene)},
+                scene->now.blobs);
+    const auto watchers = scene->watchers;  // they may come and go as they hear of it
+    for (const auto& [who, tell] : watchers) tell();
+    return edited.complaints;
 }
 
-std::vector<std::string> SceneStore::loaded_names() const {
+bool SceneStore::is_taken(const std::string& name) const {
+    const std::vector<ScenePtr> scenes = all();
+    return std::any_of(scenes.begin(), scenes.end(),
+                       [&](const ScenePtr& s) { return s->now.name == name; });
+}
+
+bool SceneStore::is_open(const ScenePtr& scene) const {
+    return std::find(open_.begin(), open_.end(), scene) != open_.end();
+}
+
+ScenePtr SceneStore::find_open(const std::string& name) const {
+    const auto found = std::find_if(open_.begin(), open_.end(),
+                                    [&](const ScenePtr& s) { return s->now.name == name; });
+    return found == open_.end() ? nullptr : *found;
+}
+
+std::vector<std::string> SceneStore::open_names() const {
     std::vector<std::string> names;
-    for (const ScenePtr& scene : loaded_) names.push_back(scene->now.name);
+    for (const ScenePtr& scene : open_) names.push_back(scene->now.name);
     return names;
 }
 

@@ -1,8 +1,11 @@
-// The scenes of a server. Those loaded at the start stay for good, open to every viewer. What a
-// viewer uploads is its own, goes under a name of its own towards the workers, and lives as long as
-// its session; viewers that upload the same scene share one, so that workers build it once.
+// The scenes of a server. Open scenes, those loaded at the start and those that a viewer has
+// shared, stay for good: every viewer may use, watch and edit them. What a viewer uploads otherwise
+// is its own, goes under a name of its own towards the workers, and lives as long as its session;
+// viewers that upload the same scene hold one, so that workers build it once.
 #pragma once
 
+#include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -16,31 +19,40 @@ namespace tessera {
 struct StoredScene {
     ReadyScene now;
     std::uint64_t bytes = 0;  ///< meshes and textures
+    /// Called after every change, by who wants to know.
+    std::map<const void*, std::function<void()>> watchers;
 };
 using ScenePtr = std::shared_ptr<StoredScene>;
 
 class SceneStore {
 public:
-    /// Throws UserError when a scene of that name is loaded already.
-    ScenePtr load(const std::string& name, const SceneBundle& bundle);
+    /// A new open scene; its names become unique. Throws UserError when there is one of that name.
+    ScenePtr open(const std::string& name, Scene scene, const BlobStore& blobs);
 
     /// What the viewer that held `before` (or nothing) under this name holds after its upload: an
-    /// equal scene if there is one, else a new version of `before` if nobody shares it, else a new
-    /// scene.
+    /// equal scene that somebody has uploaded if there is one, else a new version of `before` if
+    /// nobody shares it, else a new scene.
     ScenePtr publish(const ScenePtr& before, const ReadyScene& uploaded);
 
-    /// A scene loaded at the start; null when there is none of that name.
-    ScenePtr find_loaded(const std::string& name) const;
-    std::vector<std::string> loaded_names() const;
+    /// Makes the next version of an open scene if there is anything to change, and tells its
+    /// watchers. Returns the complaints.
+    std::vector<std::string> edit(const ScenePtr& scene,
+                                  const std::vector<EditOperation>& operations);
+
+    /// Null when there is no open scene of that name.
+    ScenePtr find_open(const std::string& name) const;
+    std::vector<std::string> open_names() const;
     /// All scenes that somebody holds.
     std::vector<ScenePtr> all() const;
 
 private:
+    bool is_taken(const std::string& name) const;
+    bool is_open(const ScenePtr& scene) const;
     ScenePtr add(const std::string& name, SceneVersion version, const BlobStore& blobs);
 
-    std::vector<ScenePtr> loaded_;
+    std::vector<ScenePtr> open_;
     std::uint64_t uploads_ = 0;
-    std::vector<std::weak_ptr<StoredScene>> scenes_;  ///< loaded and uploaded
+    std::vector<std::weak_ptr<StoredScene>> scenes_;  ///< open and uploaded
 };
 
 }  // namespace tessera

@@ -105,7 +105,7 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
 }
 
 void Server::add_scene(const std::string& name, const SceneBundle& bundle) {
-    farm_.keep_ready(scenes_.load(name, bundle));
+    farm_.keep_ready(scenes_.open(name, bundle.scene, bundle.blobs));
 }
 
 std::string Server::address() const { return describe(acceptor_.local_endpoint()); }
@@ -149,7 +149,7 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
     }
     --strangers_;
     if (hello) {
-        connection->send({Welcome{peer, TESSERA_VERSION, scenes_.loaded_names()}, {}});
+        connection->send({Welcome{peer, TESSERA_VERSION, scenes_.open_names()}, {}});
         if (hello->role == Role::worker) {
             const auto worker = std::make_shared<WorkerSession>(peer, *hello, connection);
             co_await hold_session(worker, worker->run(farm_), farm_);

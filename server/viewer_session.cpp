@@ -3,67 +3,40 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <algorithm>
 #include <utility>
 
 #include "common/check.h"
 #include "common/log.h"
+#include "server/picture_parts.h"
 
 namespace tessera {
 namespace {
 
 /// Frames that a viewer may have in flight; each costs memory for its passes.
 constexpr std::size_t most_frames = 16;
-
-/// A picture or channel in the form in which it travels.
-struct Part {
-    PictureChunk whole;  ///< offset 0
-    Payload pixels;
-};
-
-template <class T>
-Part make_part(const FrameRequest& request, Channel channel, PictureFormat format, int components,
-               std::vector<T> values) {
-    const auto owner = std::make_shared<const std::vector<T>>(std::move(values));
-    const std::span<const std::byte> bytes = std::as_bytes(std::span(*owner));
-    return {.whole = {.request = request.request,
-                      .channel = channel,
-                      .format = format,
-                      .width = std::uint32_t(request.spec.size.width),
-                      .height = std::uint32_t(request.spec.size.height),
-                      .components = std::uint32_t(components),
-                      .offset = 0,
-                      .total = bytes.size()},
-            .pixels = {owner, bytes}};
-}
-
-Part picture_part(const FrameRequest& request, Image picture) {
-    if (request.format == PictureFormat::srgb8)
-        return make_part(request, Channel::radiance, request.format, 3,
-                         to_srgb8(picture, request.tone_map));
-    return make_part(request, Channel::radiance, request.format, 3, std::move(picture.data));
-}
+/// Requests for blobs that may be answered at the same time.
+constexpr unsigned most_blob_requests = 16;
+/// Views of one viewer.
+constexpr std::size_t most_views = 16;
+/// Pictures of views that may be under way: one being read while the next one travels.
+constexpr std::uint64_t most_unread_pictures = 2;
 
 /// Runs on the pool: tone mapping a large picture takes longer than the strand may be held up.
-asio::awaitable<std::vector<Part>> make_parts(const FinishedFrame& frame) {
-    std::vector<Part> parts{picture_part(frame.request, frame.sums->picture())};
-    for (int c = 1; c < channel_count; ++c) {
-        if (!frame.request.spec.extra.has(Channel(c))) continue;
-        Image image = frame.sums->channel(Channel(c));
-        parts.push_back(make_part(frame.request, Channel(c), PictureFormat::linear_float,
-                                  image.channels, std::move(image.data)));
-    }
-    co_return parts;
+asio::awaitable<std::vector<PicturePart>> make_parts(const FinishedFrame& frame) {
+    co_return parts_of(frame);
+}
+asio::awaitable<PicturePart> make_part(const LivePicture& picture) { co_return part_of(picture); }
+
+std::string no_scene(const std::string& name, const SceneStore& store) {
+    return fmt::format(
+        "there is no scene '{}'; upload it first, or use one that is open to all ({})", name,
+        fmt::join(store.open_names(), ", "));
 }
 
-Message chunk_of(const Part& part, std::size_t offset) {
-    Message message;
-    PictureChunk chunk = part.whole;
-    chunk.offset = offset;
-    message.body = chunk;
-    message.payload = {part.pixels.owner,
-                       part.pixels.bytes.subspan(
-                           offset, std::min<std::size_t>(chunk_bytes, chunk.total - offset))};
-    return message;
+std::string no_open_scene(const std::string& name, const SceneStore& store) {
+    return fmt::format("there is no open scene '{}'; there are: {}", name,
+                       fmt::join(store.open_names(), ", "));
 }
 
 }  // namespace
@@ -73,16 +46,23 @@ ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> con
     : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
       may_edit_(may_edit),
-      status_(std::move(status)) {}
+      status_(std::move(status)),
+      news_(connection_->executor()) {}
 
 asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store) {
     const auto self = shared_from_this();
     spdlog::info("{} joins", description_);
+    asio::co_spawn(
+        connection_->executor(), [self, pool = farm.pool()] { return self->keep_informed(pool); },
+        asio::detached);
     for (;;) handle(co_await connection_->receive(), farm, store);
 }
 
 void ViewerSession::leave(RenderFarm& farm) {
     connection_->close();
+    news_.cancel();
+    for (const auto& [name, watched] : watched_) watched.scene->watchers.erase(this);
+    for (const auto& [request, view] : std::exchange(views_, {})) view->end();
     for (const auto& [request, frame] : std::exchange(frames_, {})) farm.cancel_frame(frame);
     for (const auto& [name, scene] : scenes_)
         if (scene.use_count() == 1) farm.drop_scene(scene->now.name);
@@ -101,6 +81,18 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
     } else if (const auto* chunk = message.get<BlobChunk>()) {
         receiver_.add(*chunk, message.payload.bytes);
         publish_ready_scenes(farm, store);
+    } else if (const auto* shared = message.get<SceneShare>()) {
+        share(*shared, farm, store);
+    } else if (const auto* watched = message.get<SceneWatch>()) {
+        watch(*watched, store);
+    } else if (const auto* edited = message.get<SceneEdit>()) {
+        edit(*edited, farm, store);
+    } else if (const auto* wanted = message.get<BlobRequest>()) {
+        send_blobs_of(*wanted, store);
+    } else if (const auto* view = message.get<View>()) {
+        show(*view, farm, store);
+    } else if (const auto* ended = message.get<ViewEnd>()) {
+        end_view(ended->request);
     } else if (const auto* request = message.get<FrameRequest>()) {
         begin_frame(*request, farm, store);
     } else if (const auto* cancel = message.get<FrameCancel>()) {
@@ -109,7 +101,10 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
         connection_->send({status_(), {}});
     } else if (const auto* ping = message.get<Ping>()) {
         connection_->send({Pong{ping->stamp}, {}});
-    } else if (!message.get<Pong>()) {
+    } else if (const auto* pong = message.get<Pong>()) {
+        pictures_read_ = std::clamp(pong->stamp, pictures_read_, pictures_sent_);
+        news_.cancel();
+    } else {
         throw ProtocolError("sends a message that is not for viewers to send");
     }
 }
@@ -128,15 +123,149 @@ void ViewerSession::publish_ready_scenes(RenderFarm& farm, SceneStore& store) {
     }
 }
 
+/// The scene is the viewer's own no longer.
+void ViewerSession::share(const SceneShare& share, RenderFarm& farm, SceneStore& store) {
+    const auto own = scenes_.find(share.scene);
+    if (own == scenes_.end())
+        return fail(0, fmt::format("there is no scene '{}' to share; upload it first and wait "
+                                   "until it is ready",
+                                   share.scene));
+    try {
+        const ReadyScene& scene = own->second->now;
+        farm.keep_ready(store.open(share.scene, scene.scene->scene, scene.blobs));
+    } catch (const UserError& error) {
+        return fail(0, error.what());
+    }
+    if (own->second.use_count() == 1) farm.drop_scene(own->second->now.name);
+    scenes_.erase(own);
+    receiver_.drop(share.scene);
+}
+
+void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
+    const ScenePtr scene = store.find_open(watch.scene);
+    if (!scene) return fail(0, no_open_scene(watch.scene, store));
+    watched_[watch.scene] = {.scene = scene, .sent = std::make_shared<const SceneVersion>()};
+    scene->watchers[this] = [this] { news_.cancel(); };
+    news_.cancel();
+}
+
+void ViewerSession::edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store) {
+    const ScenePtr scene = store.find_open(edit.scene);
+    EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
+    if (!may_edit_) {
+        result.complaints = {"this viewer's keys are to look, not to edit; use an editor's keys"};
+    } else if (scene) {
+        result.complaints = store.edit(scene, edit.operations);
+        result.version = scene->now.scene->version;
+        farm.scene_changed(edit.scene);
+    } else {
+        result.complaints = {no_open_scene(edit.scene, store)};
+    }
+    connection_->send({std::move(result), {}});
+}
+
+void ViewerSession::send_blobs_of(const BlobRequest& request, SceneStore& store) {
+    const ScenePtr scene = store.find_open(request.scene);
+    if (!scene) return fail(0, no_open_scene(request.scene, store));
+    if (++blob_requests_ > most_blob_requests) throw ProtocolError("asks for blobs too often");
+    asio::co_spawn(connection_->executor(),
+                   send_blobs(connection_, scene->now.blobs, request.blobs),
+                   [self = shared_from_this()](std::exception_ptr error) {
+                       --self->blob_requests_;
+                       if (error) self->connection_->close_for("asks for what is not there");
+                   });
+}
+
+void ViewerSession::show(const View& view, RenderFarm& farm, SceneStore& store) {
+    const ScenePtr scene = store.find_open(view.spec.scene);
+    if (!scene) return fail(view.request, no_open_scene(view.spec.scene, store));
+    if (!views_.contains(view.request) && views_.size() >= most_views)
+        return fail(view.request, fmt::format("more than {} views at once; end one", most_views));
+    std::shared_ptr<LiveView>& live = views_[view.request];
+    if (!live)
+        live = std::make_shared<LiveView>(
+            farm, [this] { news_.cancel(); },
+            [this, number = view.request](const std::string& reason) { fail(number, reason); });
+    live->show(view, scene);
+}
+
+void ViewerSession::end_view(std::uint64_t request) {
+    const auto found = views_.find(request);
+    if (found == views_.end()) return;
+    found->second->end();
+    views_.erase(found);
+}
+
+/// A watched scene of which the viewer has an old version, or null.
+std::pair<const std::string, ViewerSession::Watched>* ViewerSession::outdated_scene() {
+    const auto found = std::find_if(watched_.begin(), watched_.end(), [](const auto& entry) {
+        return entry.second.sent != entry.second.scene->now.scene;
+    });
+    return found == watched_.end() ? nullptr : &*found;
+}
+
+/// The newest picture of a view, views in turn, if the viewer keeps up.
+std::optional<LivePicture> ViewerSession::next_picture() {
+    if (pictures_sent_ - pictures_read_ >= most_unread_pictures) return std::nullopt;
+    auto view = views_.upper_bound(last_view_);
+    for (std::size_t i = 0; i < views_.size(); ++i, ++view) {
+        if (view == views_.end()) view = views_.begin();
+        last_view_ = view->first;
+        if (auto picture = view->second->take()) return picture;
+    }
+    return std::nullopt;
+}
+
+/// Sends newest versions of watched scenes and newest pictures of views, as fast as the viewer
+/// reads; what it is too slow for is left out.
+asio::awaitable<void> ViewerSession::keep_informed(asio::any_io_executor pool) {
+    const auto self = shared_from_this();
+    try {
+        while (connection_->open()) {
+            if (outdated_scene()) {
+                co_await connection_->wait_until_drained(chunk_bytes);
+                send_newest(*outdated_scene());
+            } else if (const auto picture = next_picture()) {
+                co_await send_picture(*picture, pool);
+            } else {
+                boost::system::error_code cancelled;
+                news_.expires_at(std::chrono::steady_clock::time_point::max());
+                co_await news_.async_wait(asio::redirect_error(asio::use_awaitable, cancelled));
+            }
+        }
+    } catch (const std::exception& error) {
+        spdlog::info("{}: not told of changes: {}", description_, error.what());
+        connection_->close();
+    }
+}
+
+void ViewerSession::send_newest(std::pair<const std::string, Watched>& entry) {
+    auto& [name, watched] = entry;
+    const auto newest = watched.scene->now.scene;
+    connection_->send({SceneUpdate{name, diff(*watched.sent, *newest)}, {}});
+    watched.sent = newest;
+}
+
+asio::awaitable<void> ViewerSession::send_picture(LivePicture picture, asio::any_io_executor pool) {
+    const PicturePart part = co_await asio::co_spawn(pool, make_part(picture), asio::use_awaitable);
+    ++pictures_sent_;
+    co_await send_part(part);
+    connection_->send_bulk({picture.about, {}});
+    connection_->send_bulk({Ping{pictures_sent_}, {}});
+}
+
+/// Feeds chunks into the bulk lane, as fast as the viewer reads.
+asio::awaitable<void> ViewerSession::send_part(const PicturePart& part) {
+    for (std::size_t offset = 0; offset < part.whole.total; offset += chunk_bytes) {
+        co_await connection_->wait_until_drained(chunk_bytes);
+        connection_->send_bulk(chunk_of(part, offset));
+    }
+}
+
 void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store) {
     const auto own = scenes_.find(request.spec.scene);
-    const ScenePtr scene =
-        own != scenes_.end() ? own->second : store.find_loaded(request.spec.scene);
-    if (!scene)
-        return fail(request.request,
-                    fmt::format("there is no scene '{}'; upload it first, or use one that the "
-                                "server has loaded ({})",
-                                request.spec.scene, fmt::join(store.loaded_names(), ", ")));
+    const ScenePtr scene = own != scenes_.end() ? own->second : store.find_open(request.spec.scene);
+    if (!scene) return fail(request.request, no_scene(request.spec.scene, store));
     if (frames_.contains(request.request))
         throw ProtocolError(fmt::format("uses request number {} twice", request.request));
     if (frames_.size() >= most_frames)
@@ -184,13 +313,12 @@ bool ViewerSession::wants(const FrameRequest& request) const {
     return found != frames_.end() && found->second == request.spec.frame;
 }
 
-/// Feeds picture and channels into the bulk lane, as fast as the viewer reads.
 asio::awaitable<void> ViewerSession::send_frame(FinishedFrame frame, asio::any_io_executor pool) {
     const auto self = shared_from_this();
     try {
-        const std::vector<Part> parts =
+        const std::vector<PicturePart> parts =
             co_await asio::co_spawn(pool, make_parts(frame), asio::use_awaitable);
-        for (const Part& part : parts)
+        for (const PicturePart& part : parts)
             for (std::size_t offset = 0; offset < part.whole.total; offset += chunk_bytes) {
                 co_await connection_->wait_until_drained(chunk_bytes);
                 if (!wants(frame.request)) co_return;

@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 
+#include "server/picture_parts.h"
 #include "server/render_farm.h"
 #include "server/scene_store.h"
 
@@ -27,18 +28,42 @@ public:
 private:
     void handle(Message message, RenderFarm& farm, SceneStore& store);
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
+    void share(const SceneShare& share, RenderFarm& farm, SceneStore& store);
+    void watch(const SceneWatch& watch, SceneStore& store);
+    void edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store);
+    void send_blobs_of(const BlobRequest& request, SceneStore& store);
+    void show(const View& view, RenderFarm& farm, SceneStore& store);
+    void end_view(std::uint64_t request);
     void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
     asio::awaitable<void> send_frame(FinishedFrame frame, asio::any_io_executor pool);
     bool wants(const FrameRequest& request) const;
 
+    struct Watched {
+        ScenePtr scene;
+        std::shared_ptr<const SceneVersion> sent;
+    };
+    std::pair<const std::string, Watched>* outdated_scene();
+    void send_newest(std::pair<const std::string, Watched>& entry);
+    std::optional<LivePicture> next_picture();
+    asio::awaitable<void> send_picture(LivePicture picture, asio::any_io_executor pool);
+    asio::awaitable<void> send_part(const PicturePart& part);
+    asio::awaitable<void> keep_informed(asio::any_io_executor pool);
+
     std::string description_;
     std::shared_ptr<Connection> connection_;
     bool may_edit_;
     std::function<Status()> status_;
     SceneReceiver receiver_;
-    std::map<std::string, ScenePtr> scenes_;         ///< uploaded, by the viewer's names
+    std::map<std::string, ScenePtr> scenes_;  ///< uploaded, by the viewer's names
+    std::map<std::string, Watched> watched_;
+    std::map<std::uint64_t, std::shared_ptr<LiveView>> views_;  ///< by the viewer's numbers
+    std::uint64_t last_view_ = 0;                               ///< whose picture was sent last
+    std::uint64_t pictures_sent_ = 0;
+    std::uint64_t pictures_read_ = 0;  ///< as far as the viewer has said
+    asio::steady_timer news_;          ///< cancelled whenever there is something to tell
+    unsigned blob_requests_ = 0;       ///< being answered
     std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
 };
 

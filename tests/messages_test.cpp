@@ -44,6 +44,7 @@ TEST(Messages, kinds_have_the_published_numbers) {
     EXPECT_EQ(kind_of({TileTask{}, {}}), 16);
     EXPECT_EQ(kind_of({TileResult{}, {}}), 17);
     EXPECT_EQ(kind_of({Pong{}, {}}), 22);
+    EXPECT_EQ(kind_of({EditResult{}, {}}), 26);
 }
 
 TEST(Messages, every_truncation_is_refused) {
@@ -102,7 +103,7 @@ TEST(Messages, noise_of_any_kind_is_refused_or_valid) {
     for (int round = 0; round < 20000; ++round) {
         Bytes noise(random() % 64);
         for (std::byte& b : noise) b = std::byte(random());
-        const FrameHeader header{.kind = std::uint16_t(random() % 24),
+        const FrameHeader header{.kind = std::uint16_t(random() % 32),
                                  .message_bytes = std::uint32_t(noise.size())};
         const auto head = encode(header);
         noise.insert(noise.begin(), head.begin(), head.end());
@@ -161,13 +162,22 @@ TEST(Messages, tasks_and_chunks_out_of_range_are_refused) {
     expect_refused<Hello>([](Hello& m) { m.token.assign(257, 'x'); });
 }
 
+TEST(Messages, moving_one_instance_costs_less_than_300_bytes) {
+    SceneVersion before{.version = 1000000, .scene = {}};
+    before.scene.instances.resize(100000, {.name = "a name of thirty-two characters!"});
+    SceneVersion after = before;
+    after.version += 1;
+    after.scene.instances[70000].world_from_object[3] = {1, 2, 3, 1};
+    EXPECT_LT(encode({SceneUpdate{"office.glb#1", diff(before, after)}, {}}).size(), 300u);
+}
+
 TEST(Messages, payloads_belong_to_their_kinds) {
     const auto bytes = std::make_shared<const Bytes>(8);
     EXPECT_THROW(decode_frame(flattened(encode({Ping{}, {bytes, *bytes}}))), ProtocolError);
     const FrameHeader odd{.kind = 17, .message_bytes = 0, .payload_bytes = 5};
     EXPECT_THROW(decode(odd, {}, {bytes, std::span(*bytes).first(5)}), ProtocolError);
     EXPECT_THROW(decode({.kind = 0}, {}, {}), ProtocolError);
-    EXPECT_THROW(decode({.kind = 23}, {}, {}), ProtocolError);
+    EXPECT_THROW(decode({.kind = RandomMessage::kinds + 1}, {}, {}), ProtocolError);
 }
 
 TEST(Messages, a_payload_is_shared_and_not_copied) {

@@ -287,6 +287,62 @@ private:
     Ping make_one(Ping) { return {.stamp = big()}; }
     Pong make_one(Pong) { return {.stamp = big()}; }
 
+    mat4 transform() { return make_one(Instance{}).world_from_object; }
+    std::optional<vec3> maybe_vector() { return coin() ? std::optional(vector()) : std::nullopt; }
+    std::optional<float> maybe_real() { return coin() ? std::optional(real()) : std::nullopt; }
+    EditOperation make_one(const EditOperation&) {
+        switch (below(8)) {
+            case 0:
+                return SetTransform{name(), transform()};
+            case 1:
+                return CreateInstance{name(), name(), transform()};
+            case 2:
+                return DeleteInstance{name()};
+            case 3:
+                return SetMaterial{name(), maybe_vector(), maybe_real(), maybe_real(),
+                                   maybe_vector()};
+            case 4:
+                return SetLight{name(),         maybe_vector(), maybe_vector(),
+                                maybe_vector(), maybe_real(),   maybe_real()};
+            case 5:
+                return CreateLight{make_one(Light{})};
+            case 6:
+                return DeleteLight{name()};
+            default:
+                return SetCamera{make_one(Camera{})};
+        }
+    }
+    SceneShare make_one(SceneShare) { return {.scene = name()}; }
+    SceneWatch make_one(SceneWatch) { return {.scene = name()}; }
+    SceneEdit make_one(SceneEdit) {
+        return {.request = big(), .scene = name(), .operations = list<EditOperation>()};
+    }
+    EditResult make_one(EditResult) {
+        return {.request = big(), .scene = name(), .version = big(), .complaints = names()};
+    }
+
+    View make_one(View) {
+        return {.request = 1 + big() / 2,
+                .spec = spec(),
+                .format = one_of(PictureFormat::automatic),
+                .tone_map = {.curve = one_of(ToneCurve::filmic), .exposure = real()},
+                .shown = one_of(Channel::indirect),
+                .error_limit = amount(),
+                .stamp = big()};
+    }
+    ViewEnd make_one(ViewEnd) { return {.request = big()}; }
+    ViewPicture make_one(ViewPicture) {
+        return {.request = big(),
+                .stamp = big(),
+                .version = big(),
+                .passes = number(),
+                .settled = coin(),
+                .error_estimate = amount(),
+                .first_seconds = amount(),
+                .render_seconds = amount(),
+                .rays = big()};
+    }
+
     template <class T>
     std::vector<T> list() {
         std::vector<T> out(below(4));

@@ -194,8 +194,8 @@ asio::awaitable<Picture> render(std::shared_ptr<Connection> viewer, FrameRequest
     co_return received.at(request.request);
 }
 
-/// The picture that the fake answers add up to.
-void expect_exact(const Picture& got, const FrameSpec& spec) {
+/// What the fake answers add up to.
+FrameSums exact_sums(const FrameSpec& spec) {
     FrameAssembler assembler(spec);
     FrameSums sums(spec);
     for (TileTask task : all_tasks(spec)) {
@@ -206,6 +206,11 @@ void expect_exact(const Picture& got, const FrameSpec& spec) {
             assembler.run_folded(std::move(*run));
         }
     }
+    return sums;
+}
+
+void expect_exact(const Picture& got, const FrameSpec& spec) {
+    const FrameSums sums = exact_sums(spec);
     ASSERT_EQ(got.failure, "");
     ASSERT_EQ(got.channels.size(), 3u);
     EXPECT_EQ(got.channels.at(Channel::radiance), sums.picture().data);
@@ -548,6 +553,232 @@ TEST(Server, passes_stop_at_the_time_limit) {
     FrameSpec expected = request.spec;
     expected.settings.passes = picture.statistics.passes;
     expect_exact(picture, expected);
+}
+
+// ---- Open scenes --------------------------------------------------------------------------------
+
+/// A viewer's copy of an open scene.
+struct Watcher {
+    std::shared_ptr<Connection> connection;
+    SceneVersion held = {};
+
+    /// Until it holds that version.
+    asio::awaitable<void> catch_up(std::uint64_t version) {
+        while (held.version < version) {
+            const Message message = co_await receive<SceneUpdate>(connection);
+            held = apply(held, message.get<SceneUpdate>()->delta);
+        }
+    }
+};
+
+asio::awaitable<EditResult> edit(std::shared_ptr<Connection> viewer,
+                                 std::vector<EditOperation> operations) {
+    viewer->send({SceneEdit{7, "scene", std::move(operations)}, {}});
+    const Message message = co_await receive<EditResult>(viewer);
+    co_return *message.get<EditResult>();
+}
+
+SetTransform moved(float x) {
+    SetTransform out{.instance = "i"};
+    out.world_from_object[3].x = x;
+    return out;
+}
+
+TEST(Server, an_edit_is_seen_by_all_who_watch_and_rendered) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        Watcher a, b;
+        a.connection = co_await join(host, Role::viewer);
+        b.connection = co_await join(host, Role::viewer);
+        for (Watcher* w : {&a, &b}) {
+            w->connection->send({SceneWatch{"scene"}, {}});
+            co_await w->catch_up(1);
+            EXPECT_EQ(w->held.scene.instances, small_scene(1).scene.instances);
+        }
+        const std::vector<EditOperation> moves = {moved(1), moved(2)};
+        const EditResult result = co_await edit(a.connection, moves);
+        EXPECT_EQ(result.request, 7u);
+        EXPECT_EQ(result.version, 2u);
+        EXPECT_TRUE(result.complaints.empty());
+        co_await b.catch_up(2);
+        EXPECT_EQ(b.held.scene.instances[0].world_from_object[3].x, 2);
+        expect_exact(co_await render(b.connection, small_request()), small_request().spec);
+    });
+}
+
+TEST(Server, edits_that_cannot_be_done_are_told_and_change_nothing) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        const std::vector<EditOperation> impossible = {DeleteInstance{"nobody"}};
+        const EditResult result = co_await edit(viewer, impossible);
+        EXPECT_EQ(result.version, 1u);
+        EXPECT_EQ(result.complaints, std::vector<std::string>{"there is no instance 'nobody'"});
+        viewer->send({SceneEdit{8, "elsewhere", {}}, {}});
+        const Message message = co_await receive<EditResult>(viewer);
+        EXPECT_EQ(message.get<EditResult>()->complaints.size(), 1u);
+    });
+}
+
+TEST(Server, a_shared_scene_is_open_to_others_and_outlives_its_viewer) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto owner = co_await join(host, Role::viewer);
+        owner->send({SceneShare{"scene"}, {}});
+        const Message refused = co_await receive<Failure>(owner);
+        EXPECT_NE(refused.get<Failure>()->reason.find("upload it first"), std::string::npos);
+        co_await upload(owner, small_scene(1));
+        owner->send({SceneShare{"scene"}, {}});
+        expect_exact(co_await render(owner, small_request()), small_request().spec);
+        owner->close();
+
+        const auto viewer = co_await join(host, Role::viewer);
+        const std::vector<EditOperation> move = {moved(3)}, again = {moved(4)};
+        const EditResult result = co_await edit(viewer, move);
+        EXPECT_EQ(result.version, 2u);
+        expect_exact(co_await render(viewer, small_request()), small_request().spec);
+        // Its blobs can be had, too.
+        const BlobId mesh = small_scene(1).scene.meshes[0];
+        viewer->send({BlobRequest{"scene", {mesh}}, {}});
+        const Message blob = co_await receive<BlobChunk>(viewer);
+        EXPECT_EQ(blob_id(blob.payload.bytes), mesh);
+        // An upload of the same name and content is the viewer's own, whatever others do to theirs.
+        co_await upload(viewer, small_scene(1));
+        const EditResult third = co_await edit(viewer, again);
+        EXPECT_EQ(third.version, 3u);
+        viewer->send({SceneShare{"scene"}, {}});
+        const Message taken = co_await receive<Failure>(viewer);
+        EXPECT_NE(taken.get<Failure>()->reason.find("'scene'"), std::string::npos);
+    });
+}
+
+// ---- Views --------------------------------------------------------------------------------------
+
+struct Shown {
+    ViewPicture about;
+    std::vector<float> values;
+};
+
+/// The next picture of a view; pings are answered, so that more may come.
+asio::awaitable<Shown> next_shown(std::shared_ptr<Connection> viewer) {
+    Shown out;
+    for (;;) {
+        const Message message = co_await viewer->receive();
+        if (const auto* ping = message.get<Ping>()) viewer->send({Pong{ping->stamp}, {}});
+        if (const auto* chunk = message.get<PictureChunk>()) {
+            out.values.resize(chunk->total / sizeof(float));
+            std::memcpy(reinterpret_cast<std::byte*>(out.values.data()) + chunk->offset,
+                        message.payload.bytes.data(), message.payload.bytes.size());
+        }
+        if (const auto* about = message.get<ViewPicture>()) {
+            out.about = *about;
+            co_return out;
+        }
+    }
+}
+
+asio::awaitable<Shown> settled(std::shared_ptr<Connection> viewer, std::uint64_t stamp) {
+    for (;;) {
+        Shown shown = co_await next_shown(viewer);
+        if (shown.about.settled && shown.about.stamp == stamp) co_return shown;
+    }
+}
+
+View small_view(std::uint64_t stamp, std::uint32_t passes) {
+    View view;
+    view.request = 1;
+    view.spec = small_request().spec;
+    view.spec.settings.passes = passes;
+    view.format = PictureFormat::linear_float;
+    view.stamp = stamp;
+    return view;
+}
+
+TEST(Server, a_view_shows_the_first_pass_and_settles_at_the_exact_picture) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        View view = small_view(5, 6);
+        viewer->send({view, {}});
+        const Shown first = co_await next_shown(viewer);
+        EXPECT_EQ(first.about.passes, 1u);
+        EXPECT_EQ(first.about.stamp, 5u);
+        view.spec.settings.passes = 1;
+        EXPECT_EQ(first.values, exact_sums(view.spec).picture().data);
+        const Shown last = co_await settled(viewer, 5);
+        view.spec.settings.passes = 6;
+        EXPECT_EQ(last.about.passes, 6u);
+        EXPECT_EQ(last.values, exact_sums(view.spec).picture().data);
+        // Another exposure shows the same samples, another channel is rendered.
+        view.stamp = 6;
+        view.tone_map.exposure = 1;
+        viewer->send({view, {}});
+        const Shown again = co_await next_shown(viewer);
+        EXPECT_TRUE(again.about.settled);
+        EXPECT_EQ(again.about.stamp, 6u);
+        view.stamp = 7;
+        view.shown = Channel::depth;
+        viewer->send({view, {}});
+        const Shown depth = co_await settled(viewer, 7);
+        EXPECT_EQ(depth.values, std::vector<float>(view.spec.size.pixels(), 1));
+    });
+}
+
+TEST(Server, a_view_begins_anew_when_camera_or_scene_change) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        View view = small_view(1, max_passes);
+        viewer->send({view, {}});
+        co_await next_shown(viewer);
+        for (view.stamp = 2; view.stamp <= 20; ++view.stamp) {
+            view.spec.camera.eye.x = float(view.stamp);
+            viewer->send({view, {}});
+        }
+        Shown shown = co_await next_shown(viewer);
+        while (shown.about.stamp < 20) {
+            const std::uint64_t before = shown.about.stamp;
+            shown = co_await next_shown(viewer);
+            EXPECT_GE(shown.about.stamp, before);
+        }
+        const std::vector<EditOperation> move = {moved(3)};
+        viewer->send({SceneEdit{7, "scene", move}, {}});
+        while (shown.about.version < 2) shown = co_await next_shown(viewer);
+        viewer->send({ViewEnd{1}, {}});
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->frames_in_flight, 0u);
+    });
+}
+
+TEST(Server, a_viewer_that_does_not_keep_up_misses_pictures_and_delays_nobody) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto slow = co_await join(host, Role::viewer);
+        const auto quick = co_await join(host, Role::viewer);
+        slow->send({small_view(1, 30), {}});
+        quick->send({small_view(1, 30), {}});
+        co_await settled(quick, 1);
+        // Its pings have not been answered, so no more than two pictures are under way to it.
+        slow->send({StatusRequest{}, {}});
+        int pictures = 0;
+        for (bool told = false; !told;) {
+            const Message message = co_await slow->receive();
+            if (message.get<ViewPicture>()) ++pictures;
+            told = message.get<Status>();
+        }
+        EXPECT_LE(pictures, 2);
+    });
 }
 
 }  // namespace

@@ -42,6 +42,18 @@ TEST(ToneMap, what_is_no_radiance_is_black) {
     for (const std::uint8_t byte : to_srgb8(image, {})) EXPECT_EQ(byte, 0);
 }
 
+TEST(ToneMap, bytes_are_the_transfer_function_rounded) {
+    for (const ToneCurve curve : {ToneCurve::srgb, ToneCurve::filmic}) {
+        const ToneMap map{.curve = curve, .exposure = 0.5f};
+        Image image({20000, 1}, 3);
+        for (std::size_t i = 0; i < image.data.size(); ++i) image.data[i] = 2e-5f * float(i);
+        const std::vector<std::uint8_t> bytes = to_srgb8(image, map);
+        for (std::size_t i = 0; i < bytes.size(); ++i)
+            ASSERT_EQ(bytes[i],
+                      std::uint8_t(255 * srgb_from_linear(apply_curve(map, image.data[i])) + 0.5f));
+    }
+}
+
 TEST(ToneMap, takes_the_first_three_channels) {
     Image image({1, 1}, 5);
     image.data = {1, 0, 1, 0.5f, 0.5f};

@@ -1,0 +1,199 @@
+// tessera edit: changes an open scene of a server from a script, or lists what can be changed.
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <chrono>
+#include <nlohmann/json.hpp>
+
+#include "client/commands.h"
+#include "client/edit_json.h"
+#include "client/interrupt.h"
+#include "client/render_client.h"
+#include "common/check.h"
+
+namespace tessera {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct EditOptions {
+    std::string server;
+    std::string keys;
+    std::string scene;
+    bool json = false;
+    std::string name, kind, file, object;
+    std::vector<float> vector;
+    std::vector<std::string> assignments;
+};
+
+/// A connection and the scene to edit: the one named, else the only one.
+class Editor {
+public:
+    explicit Editor(const EditOptions& options)
+        : client_({.address = options.server,
+                   .credentials = load_credentials(options.keys),
+                   .tick = [this] { interrupt_.check(); }}),
+          scene_(options.scene) {
+        const std::vector<std::string>& known = client_.welcome().scenes;
+        if (scene_.empty() && known.size() == 1) scene_ = known.front();
+        if (scene_.empty())
+            throw UserError(
+                fmt::format("--scene: which one? Open are: {}", fmt::join(known, ", ")));
+        client_.watch(scene_);
+    }
+
+    const Scene& scene() const { return client_.scene().scene; }
+
+    void apply(const std::vector<EditOperation>& operations) {
+        const EditResult result = client_.edit(scene_, operations);
+        if (!result.complaints.empty())
+            throw UserError(fmt::format("{}", fmt::join(result.complaints, "; ")));
+    }
+
+    /// Waits, and goes on with the network meanwhile.
+    void wait_until(Clock::time_point time) {
+        while (Clock::now() < time)
+            client_.poll(
+                std::min(std::chrono::milliseconds(100),
+                         std::chrono::ceil<std::chrono::milliseconds>(time - Clock::now())));
+    }
+
+private:
+    Interrupt interrupt_;
+    RenderClient client_;
+    std::string scene_;
+};
+
+template <class T>
+const T& find(const std::vector<T>& table, const char* kind, const std::string& name) {
+    const auto found = std::find_if(table.begin(), table.end(),
+                                    [&](const T& entry) { return entry.name == name; });
+    if (found == table.end())
+        throw UserError(fmt::format("there is no {} '{}'; `tessera edit list` tells what there is",
+                                    kind, name));
+    return *found;
+}
+
+// ---- list ---------------------------------------------------------------------------------------
+
+std::string text(const vec3& v) { return fmt::format("{:g},{:g},{:g}", v.x, v.y, v.z); }
+
+void print_table(const Scene& scene) {
+    for (const Instance& i : scene.instances)
+        fmt::print("instance  {:<24} at {:<28} object '{}'\n", i.name,
+                   text(vec3(i.world_from_object[3])), scene.objects[i.object].name);
+    for (const Material& m : scene.materials)
+        fmt::print("material  {:<24} base_color={} metallic={:g} roughness={:g} emission={}\n",
+                   m.name, text(m.base_color), m.metallic, m.roughness, text(m.emission));
+    for (const Light& l : scene.lights)
+        fmt::print("light     {:<24} {} position={} direction={} intensity={}\n", l.name,
+                   light_kind_name(l.kind), text(l.position), text(l.direction), text(l.intensity));
+    for (const Camera& c : scene.cameras)
+        fmt::print("camera    {:<24} eye={} at={} up={} fov={:g}\n", c.name, text(c.eye),
+                   text(c.at), text(c.up), c.fov_y);
+}
+
+// ---- move, set, ... -----------------------------------------------------------------------------
+
+void move(Editor& editor, const EditOptions& options, bool relative) {
+    vec3 to(options.vector[0], options.vector[1], options.vector[2]);
+    const Instance& instance = find(editor.scene().instances, "instance", options.name);
+    if (relative) to += vec3(instance.world_from_object[3]);
+    editor.apply({moved(instance, to)});
+}
+
+void set(Editor& editor, const EditOptions& options) {
+    nlohmann::json values = nlohmann::json::object();
+    for (const std::string& assignment : options.assignments) {
+        const std::size_t equals = assignment.find('=');
+        if (equals == std::string::npos)
+            throw UserError(fmt::format("`{}` is not FIELD=VALUE", assignment));
+        values[assignment.substr(0, equals)] = value_of_text(assignment.substr(equals + 1));
+    }
+    editor.apply({operation_of_json({{"set", options.kind}, {"name", options.name}, {"to", values}},
+                                    editor.scene())});
+}
+
+void remove(Editor& editor, const EditOptions& options) {
+    const auto named = [&](const auto& entry) { return entry.name == options.name; };
+    const std::vector<Light>& lights = editor.scene().lights;
+    if (std::any_of(lights.begin(), lights.end(), named))
+        return editor.apply({DeleteLight{options.name}});
+    find(editor.scene().instances, "instance or light", options.name);
+    editor.apply({DeleteInstance{options.name}});
+}
+
+void create(Editor& editor, const EditOptions& options) {
+    const std::vector<float> at = options.vector.empty() ? std::vector<float>(3) : options.vector;
+    editor.apply({operation_of_json(
+        {{"create", options.name}, {"object", options.object}, {"to", at}}, editor.scene())});
+}
+
+void play(Editor& editor, const EditOptions& options) {
+    const std::vector<TimedEdit> edits = load_timed_edits(options.file, editor.scene());
+    const auto start = Clock::now();
+    for (const TimedEdit& edit : edits) {
+        editor.wait_until(start + std::chrono::duration_cast<Clock::duration>(
+                                      std::chrono::duration<double>(edit.seconds)));
+        editor.apply(edit.operations);
+    }
+}
+
+}  // namespace
+
+void add_edit_command(CLI::App& app) {
+    auto options = std::make_shared<EditOptions>();
+    CLI::App* command = app.add_subcommand("edit", "Change a scene that a server holds");
+    command->add_option("--server", options->server, "HOST:PORT of the server")->required();
+    add_keys_option(command, options->keys);
+    command->add_option("--scene", options->scene, "which of its scenes (default: the only one)");
+    command->require_subcommand(1);
+    command->fallthrough();
+    const auto add = [&](const char* name, const char* help, auto work) {
+        CLI::App* sub = command->add_subcommand(name, help);
+        sub->callback([options, work] {
+            Editor editor(*options);
+            work(editor, *options);
+        });
+        return sub;
+    };
+    const auto add_name = [&](CLI::App* sub) {
+        sub->add_option("NAME", options->name)->required();
+        return sub;
+    };
+    const auto add_vector = [&](CLI::App* sub, const char* help) {
+        return sub->add_option("PLACE", options->vector, help)->delimiter(',')->expected(3);
+    };
+    add("list", "instances, materials, lights and cameras",
+        [](Editor& editor, const EditOptions& o) {
+            o.json ? fmt::print("{}\n", json_of(editor.scene()).dump(2))
+                   : print_table(editor.scene());
+        })
+        ->add_flag("--json", options->json, "as JSON");
+    add_vector(add_name(add("move", "put an instance's origin at a place",
+                            [](Editor& e, const EditOptions& o) { move(e, o, false); })),
+               "x,y,z in metres")
+        ->required();
+    add_vector(add_name(add("shift", "move an instance by so much",
+                            [](Editor& e, const EditOptions& o) { move(e, o, true); })),
+               "x,y,z in metres")
+        ->required();
+    CLI::App* setting = add("set", "change fields of a material, light or camera", set);
+    setting->add_option("KIND", options->kind)
+        ->required()
+        ->check(CLI::IsMember({"material", "light", "camera"}));
+    add_name(setting)
+        ->add_option("FIELDS", options->assignments,
+                     "FIELD=VALUE as `list` prints them: base_color=0.8,0.1,0.1 roughness=0.2")
+        ->required();
+    add_name(add("delete", "an instance or light", remove));
+    CLI::App* creating = add_name(add("create", "a new instance of an object", create));
+    creating->add_option("OBJECT", options->object)->required();
+    add_vector(creating, "where: x,y,z in metres");
+    add("play", "the timed edits of a JSON file", play)
+        ->add_option("FILE", options->file, "[{\"time\": seconds, \"edits\": [...]}, ...]")
+        ->required();
+}
+
+}  // namespace tessera

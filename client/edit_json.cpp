@@ -1,0 +1,313 @@
+#include "client/edit_json.h"
+
+#include <fmt/format.h>
+
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "common/check.h"
+
+namespace tessera {
+namespace {
+
+using nlohmann::json;
+
+const std::map<std::string, LightKind> light_kinds = {{"point", LightKind::point},
+                                                      {"spot", LightKind::spot},
+                                                      {"directional", LightKind::directional}};
+
+template <class... Args>
+[[noreturn]] void complain(fmt::format_string<Args...> format, Args&&... args) {
+    throw UserError(fmt::format(format, std::forward<Args>(args)...));
+}
+
+/// Reads fields of an object, and complains of those that nobody has read.
+class Fields {
+public:
+    explicit Fields(const json& object) : object_(object) {
+        if (!object.is_object()) complain("{} is no object", object.dump());
+    }
+    Fields(const Fields&) = delete;
+
+    bool has(const std::string& name) const { return object_.contains(name); }
+
+    void read(const std::string& name, std::string& value) {
+        if (const json* found = find(name); found && found->is_string())
+            value = found->get<std::string>();
+        else if (found)
+            complain("`{}` is {}, must be text", name, found->dump());
+    }
+    void read(const std::string& name, std::optional<float>& value) {
+        if (const json* found = find(name)) value = numbers(name, *found, 1)[0];
+    }
+    void read(const std::string& name, std::optional<vec3>& value) {
+        const json* found = find(name);
+        if (!found) return;
+        const std::vector<float> v = numbers(name, *found, 3);
+        value = vec3(v[0], v[1], v[2]);
+    }
+    void read(const std::string& name, std::optional<mat4>& value) {
+        const json* found = find(name);
+        if (!found) return;
+        const std::vector<float> v = numbers(name, *found, 16);
+        value.emplace();
+        for (int i = 0; i < 16; ++i) (*value)[i / 4][i % 4] = v[std::size_t(i)];
+    }
+    template <class T>
+    void read(const std::string& name, T& value) {
+        std::optional<T> found;
+        read(name, found);
+        if (found) value = *found;
+    }
+    const json& at(const std::string& name) {
+        const json* found = find(name);
+        if (!found) complain("`{}` is missing in {}", name, object_.dump());
+        return *found;
+    }
+    std::string text(const std::string& name) {
+        at(name);
+        std::string value;
+        read(name, value);
+        return value;
+    }
+
+    void check_all_read() const {
+        for (const auto& [name, value] : object_.items())
+            if (!read_.contains(name)) complain("nobody knows what `{}` is", name);
+    }
+
+private:
+    const json* find(const std::string& name) {
+        read_[name] = true;
+        return object_.contains(name) ? &object_.at(name) : nullptr;
+    }
+    static std::vector<float> numbers(const std::string& name, const json& value,
+                                      std::size_t count) {
+        std::vector<float> out;
+        for (const json& number : value.is_array() ? value : json::array({value})) {
+            if (!number.is_number()) complain("`{}` is {}, must be numbers", name, value.dump());
+            out.push_back(number.get<float>());
+        }
+        if (out.size() != count)
+            complain("`{}` has {} numbers, must have {}", name, out.size(), count);
+        return out;
+    }
+
+    const json& object_;
+    std::map<std::string, bool> read_;
+};
+
+template <class T>
+const T* find(const std::vector<T>& table, const std::string& name) {
+    const auto found = std::find_if(table.begin(), table.end(),
+                                    [&](const T& entry) { return entry.name == name; });
+    return found == table.end() ? nullptr : &*found;
+}
+
+EditOperation material_of(const std::string& name, const json& values) {
+    SetMaterial edit{.material = name};
+    Fields fields(values);
+    fields.read("base_color", edit.base_color);
+    fields.read("metallic", edit.metallic);
+    fields.read("roughness", edit.roughness);
+    fields.read("emission", edit.emission);
+    fields.check_all_read();
+    return edit;
+}
+
+EditOperation light_of(const std::string& name, const json& values) {
+    SetLight edit{.light = name};
+    Fields fields(values);
+    fields.read("position", edit.position);
+    fields.read("direction", edit.direction);
+    fields.read("intensity", edit.intensity);
+    fields.read("inner_angle", edit.inner_angle);
+    fields.read("outer_angle", edit.outer_angle);
+    fields.check_all_read();
+    return edit;
+}
+
+EditOperation new_light_of(const std::string& name, const json& values) {
+    Light light{.name = name};
+    Fields fields(values);
+    std::string kind = "point";
+    fields.read("kind", kind);
+    if (!light_kinds.contains(kind)) complain("light kind `{}`: point, spot or directional", kind);
+    light.kind = light_kinds.at(kind);
+    fields.read("position", light.position);
+    fields.read("direction", light.direction);
+    fields.read("intensity", light.intensity);
+    fields.read("inner_angle", light.inner_angle);
+    fields.read("outer_angle", light.outer_angle);
+    fields.check_all_read();
+    return CreateLight{light};
+}
+
+EditOperation camera_of(const std::string& name, const json& values, const Scene& scene) {
+    const Camera* held = find(scene.cameras, name);
+    Camera camera = held ? *held : Camera{.name = name};
+    Fields fields(values);
+    fields.read("eye", camera.eye);
+    fields.read("at", camera.at);
+    fields.read("up", camera.up);
+    fields.read("fov", camera.fov_y);
+    fields.check_all_read();
+    return SetCamera{camera};
+}
+
+EditOperation set_of(Fields& fields, const Scene& scene) {
+    const std::string kind = fields.text("set"), name = fields.text("name");
+    const json& values = fields.at("to");
+    if (kind == "material") return material_of(name, values);
+    if (kind == "light") return light_of(name, values);
+    if (kind == "camera") return camera_of(name, values, scene);
+    complain("cannot set a `{}`: material, light or camera", kind);
+}
+
+EditOperation move_of(Fields& fields, const Scene& scene) {
+    const std::string name = fields.text("move");
+    const Instance* instance = find(scene.instances, name);
+    if (!instance) complain("there is no instance '{}'", name);
+    fields.at("to");
+    vec3 to(0);
+    fields.read("to", to);
+    return moved(*instance, to);
+}
+
+EditOperation transform_of(Fields& fields) {
+    SetTransform edit{.instance = fields.text("transform")};
+    fields.at("to");
+    fields.read("to", edit.world_from_object);
+    return edit;
+}
+
+EditOperation create_of(Fields& fields) {
+    vec3 to(0);
+    fields.read("to", to);
+    CreateInstance edit{.instance = fields.text("create"), .object = fields.text("object")};
+    edit.world_from_object[3] = vec4(to, 1);
+    return edit;
+}
+
+EditOperation operation_of(Fields& fields, const Scene& scene) {
+    if (fields.has("set")) return set_of(fields, scene);
+    if (fields.has("move")) return move_of(fields, scene);
+    if (fields.has("transform")) return transform_of(fields);
+    if (fields.has("create")) return create_of(fields);
+    if (fields.has("create light"))
+        return new_light_of(fields.text("create light"), fields.at("to"));
+    if (fields.has("delete")) return DeleteInstance{fields.text("delete")};
+    if (fields.has("delete light")) return DeleteLight{fields.text("delete light")};
+    complain(
+        "no edit: set, move, transform, create, create light, delete or delete light is wanted");
+}
+
+json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
+
+json parse_file(const std::string& file) {
+    std::ifstream in(file);
+    if (!in) complain("{}: cannot be read", file);
+    json parsed = json::parse(in, nullptr, false);
+    if (!parsed.is_array()) complain("{}: is no JSON list of timed edits", file);
+    return parsed;
+}
+
+TimedEdit timed_edit_of(const json& entry, Scene& scene) {
+    Fields fields(entry);
+    TimedEdit timed;
+    std::optional<float> seconds;
+    fields.read("time", seconds);
+    timed.seconds = seconds.value_or(0);
+    for (const json& edit : fields.at("edits")) {
+        timed.operations.push_back(operation_of_json(edit, scene));
+        EditedScene edited = apply_edits(std::move(scene), {timed.operations.back()});
+        if (!edited.complaints.empty()) throw UserError(edited.complaints.front());
+        scene = std::move(edited.scene);
+    }
+    fields.check_all_read();
+    return timed;
+}
+
+}  // namespace
+
+EditOperation operation_of_json(const json& object, const Scene& scene) {
+    Fields fields(object);
+    EditOperation operation = operation_of(fields, scene);
+    fields.check_all_read();
+    return operation;
+}
+
+json value_of_text(const std::string& text) {
+    json list = json::array();
+    std::istringstream in(text);
+    for (std::string part; std::getline(in, part, ',');) {
+        json number = json::parse(part, nullptr, false);
+        if (!number.is_number()) return text;
+        list.push_back(number);
+    }
+    return list;
+}
+
+std::vector<TimedEdit> load_timed_edits(const std::string& file, Scene scene) {
+    const json parsed = parse_file(file);
+    std::vector<TimedEdit> out;
+    double now = 0;
+    std::size_t number = 0;
+    try {
+        for (const json& entry : parsed) {
+            ++number;
+            out.push_back(timed_edit_of(entry, scene));
+            if (out.back().seconds < now) complain("its time is before that of the one before");
+            now = out.back().seconds;
+        }
+    } catch (const UserError& error) {
+        complain("{}: entry {}: {}", file, number, error.what());
+    }
+    return out;
+}
+
+const char* light_kind_name(LightKind kind) {
+    for (const auto& [name, value] : light_kinds)
+        if (value == kind) return name.c_str();
+    return "light";
+}
+
+json json_of(const Scene& scene) {
+    json out = {{"objects", json::array()},
+                {"instances", json::array()},
+                {"materials", json::array()},
+                {"lights", json::array()},
+                {"cameras", json::array()}};
+    for (const Object& o : scene.objects) out["objects"].push_back({{"name", o.name}});
+    for (const Instance& i : scene.instances) {
+        const float* m = &i.world_from_object[0][0];
+        out["instances"].push_back({{"name", i.name},
+                                    {"object", scene.objects[i.object].name},
+                                    {"world_from_object", std::vector<float>(m, m + 16)}});
+    }
+    for (const Material& m : scene.materials)
+        out["materials"].push_back({{"name", m.name},
+                                    {"base_color", json_of(m.base_color)},
+                                    {"metallic", m.metallic},
+                                    {"roughness", m.roughness},
+                                    {"emission", json_of(m.emission)}});
+    for (const Light& l : scene.lights)
+        out["lights"].push_back({{"name", l.name},
+                                 {"kind", light_kind_name(l.kind)},
+                                 {"position", json_of(l.position)},
+                                 {"direction", json_of(l.direction)},
+                                 {"intensity", json_of(l.intensity)},
+                                 {"inner_angle", l.inner_angle},
+                                 {"outer_angle", l.outer_angle}});
+    for (const Camera& c : scene.cameras)
+        out["cameras"].push_back({{"name", c.name},
+                                  {"eye", json_of(c.eye)},
+                                  {"at", json_of(c.at)},
+                                  {"up", json_of(c.up)},
+                                  {"fov", c.fov_y}});
+    return out;
+}
+
+}  // namespace tessera

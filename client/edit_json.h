@@ -1,0 +1,42 @@
+// Edits and scenes as JSON, for scripts. A file of timed edits is
+//
+//   [{"time": 0.5, "edits": [
+//       {"move": "lamp", "to": [1, 0.7, 2]},
+//       {"set": "material", "name": "oak", "to": {"roughness": 0.2}},
+//       {"set": "light", "name": "sun", "to": {"intensity": [3, 3, 3]}},
+//       {"set": "camera", "name": "door", "to": {"eye": [0, 1, 3], "at": [0, 1, 0]}},
+//       {"transform": "book", "to": [16 numbers, column by column]},
+//       {"create": "cup 2", "object": "red cup", "to": [1, 0.7, 2]},
+//       {"create light": "spot", "to": {"kind": "spot", "position": [0, 3, 0]}},
+//       {"delete": "chair"}, {"delete light": "sun"}]}, ...]
+//
+// with times in seconds from the start, in order.
+#pragma once
+
+#include <nlohmann/json_fwd.hpp>
+#include <string>
+#include <vector>
+
+#include "common/scene_edit.h"
+
+namespace tessera {
+
+/// The operation that changes `scene` so. Throws UserError saying what is wrong with it.
+EditOperation operation_of_json(const nlohmann::json& json, const Scene& scene);
+
+/// A number, or numbers between commas; otherwise text.
+nlohmann::json value_of_text(const std::string& text);
+
+struct TimedEdit {
+    double seconds = 0;
+    std::vector<EditOperation> operations;
+};
+
+/// Edits of `scene`, and then of what has become of it. Throws UserError naming the file and the
+/// edit that cannot be done.
+std::vector<TimedEdit> load_timed_edits(const std::string& file, Scene scene);
+
+const char* light_kind_name(LightKind kind);
+nlohmann::json json_of(const Scene& scene);
+
+}  // namespace tessera

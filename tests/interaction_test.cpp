@@ -1,0 +1,187 @@
+// What a viewer does without a server: camera gestures, picking, edits from JSON, JPEG.
+
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "client/camera_control.h"
+#include "client/edit_json.h"
+#include "client/pick.h"
+#include "common/check.h"
+#include "common/jpeg.h"
+#include "tests/temp_dir.h"
+
+namespace tessera {
+namespace {
+
+class Gestures {
+public:
+    float in(float low, float high) {
+        return std::uniform_real_distribution<float>(low, high)(random_);
+    }
+    vec2 drag() { return {in(-1, 1), in(-1, 1)}; }
+
+    Camera moved(const Camera& c) {
+        switch (random_() % 5) {
+            case 0:
+                return orbited(c, drag());
+            case 1:
+                return turned(c, drag());
+            case 2:
+                return panned(c, drag());
+            case 3:
+                return approached(c, in(0.8f, 1.25f));
+            default:
+                return flown(c, {in(-1, 1), in(-1, 1), in(-1, 1)});
+        }
+    }
+
+private:
+    std::mt19937 random_{1};
+};
+
+TEST(CameraControl, no_gesture_makes_a_camera_that_sees_nothing) {
+    Gestures gestures;
+    Camera camera{.name = {}, .eye = {0, 1, 5}, .at = {0, 1, 0}};
+    for (int i = 0; i < 10000; ++i) {
+        camera = gestures.moved(camera);
+        const vec3 view = camera.at - camera.eye;
+        ASSERT_GT(length(cross(view, camera.up)), 1e-3f * length(view)) << "gesture " << i;
+    }
+}
+
+TEST(CameraControl, orbits_keep_the_distance_and_turns_the_eye) {
+    Gestures gestures;
+    const Camera camera{.name = {}, .eye = {3, 2, 5}, .at = {0, 1, 0}};
+    for (int i = 0; i < 100; ++i) {
+        const Camera orbit = orbited(camera, gestures.drag());
+        EXPECT_EQ(orbit.at, camera.at);
+        EXPECT_NEAR(length(orbit.eye - orbit.at), length(camera.eye - camera.at), 1e-4f);
+        EXPECT_EQ(turned(camera, gestures.drag()).eye, camera.eye);
+    }
+}
+
+TEST(CameraControl, panning_keeps_the_point_under_the_pointer) {
+    const Camera camera{.name = {}, .eye = {0, 0, 4}, .at = {0, 0, 0}, .fov_y = 90};
+    // Half the picture's height is 4 m at the point looked at.
+    EXPECT_NEAR(panned(camera, {0, 0.5f}).at.y, -4, 1e-5f);
+    const Ray up = eye_ray(camera, {0, 1});
+    EXPECT_NEAR(up.dir.y, -up.dir.z, 1e-6f);
+}
+
+TEST(CameraControl, a_point_lies_on_the_ray_through_its_projection) {
+    Gestures gestures;
+    Camera camera{.name = {}, .eye = {0, 1, 5}, .at = {0, 1, 0}};
+    for (int i = 0; i < 100; ++i) {
+        camera = gestures.moved(camera);
+        const Ray ray = eye_ray(camera, gestures.drag());
+        const auto point = projected(camera, ray.org + 3.0f * ray.dir);
+        ASSERT_TRUE(point);
+        EXPECT_NEAR(dot(eye_ray(camera, *point).dir, ray.dir), 1, 1e-5f);
+        EXPECT_FALSE(projected(camera, ray.org - ray.dir));
+    }
+}
+
+Mesh triangle() {
+    Mesh mesh;
+    mesh.positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+    mesh.triangles = {{0, 1, 2}};
+    return mesh;
+}
+
+TEST(Pick, the_nearest_instance_is_found_where_it_is_by_now) {
+    SceneBundle bundle;
+    bundle.scene.materials = {{.name = "a"}, {.name = "b"}};
+    bundle.scene.objects = {{.name = {}, .mesh = add_mesh(bundle, triangle()), .materials = {1}}};
+    bundle.scene.instances = {{.name = "far"}, {.name = "near"}};
+    const Picker picker(bundle.scene, bundle.blobs);
+    Gestures random;
+    for (int i = 0; i < 1000; ++i) {
+        const float z = random.in(-3, 3), x = random.in(-1, 1);
+        bundle.scene.instances[1].world_from_object[3] = {x, 0, z, 1};
+        const Ray ray{.org = {0.2f, 0.3f, 5}, .dir = {0, 0, -1}};
+        const auto picked = picker.pick(bundle.scene, ray);
+        const bool near_hit = 0.2f - x > 0 && 0.2f - x < 0.7f;
+        ASSERT_TRUE(picked);
+        EXPECT_EQ(picked->instance, near_hit && z > 0 ? 1u : 0u);
+        EXPECT_EQ(picked->material, 1u);
+        EXPECT_NEAR(picked->p.z, near_hit && z > 0 ? z : 0, 1e-4f);
+    }
+    EXPECT_FALSE(picker.pick(bundle.scene, {.org = {5, 5, 5}, .dir = {0, 0, -1}}));
+}
+
+Scene small_scene() {
+    Scene scene;
+    scene.objects = {{.name = "chair", .materials = {}}};
+    scene.instances = {{.name = "a"}};
+    scene.materials = {{.name = "oak"}};
+    scene.lights = {{.name = "sun"}};
+    scene.cameras = {{.name = "door", .fov_y = 30}};
+    return scene;
+}
+
+std::vector<TimedEdit> edits_of(const std::string& json) {
+    const TempDir dir;
+    const std::string file = dir.file("edits.json");
+    std::ofstream(file) << json;
+    return load_timed_edits(file, small_scene());
+}
+
+TEST(EditJson, a_file_tells_what_to_do_and_when) {
+    const auto edits = edits_of(R"([
+        {"edits": [{"move": "a", "to": [1, 2, 3]},
+                   {"set": "material", "name": "oak", "to": {"roughness": 0.5}}]},
+        {"time": 2.5, "edits": [{"set": "camera", "name": "door", "to": {"eye": [1, 1, 1]}},
+                                {"create": "b", "object": "chair", "to": [0, 0, 1]},
+                                {"create light": "spot", "to": {"kind": "spot"}},
+                                {"delete": "a"}, {"delete light": "sun"}]}])");
+    ASSERT_EQ(edits.size(), 2u);
+    EXPECT_EQ(edits[1].seconds, 2.5);
+    Scene scene = small_scene();
+    for (const TimedEdit& edit : edits) scene = apply_edits(scene, edit.operations).scene;
+    ASSERT_EQ(scene.instances.size(), 1u);
+    EXPECT_EQ(scene.instances[0].name, "b");
+    EXPECT_EQ(scene.materials[0].roughness, 0.5f);
+    EXPECT_EQ(scene.lights.at(0).kind, LightKind::spot);
+    EXPECT_EQ(scene.cameras[0].fov_y, 30);
+    EXPECT_EQ(scene.cameras[0].eye, vec3(1));
+}
+
+TEST(EditJson, mistakes_are_told_with_file_and_entry) {
+    for (const auto& [edit, complaint] :
+         {std::pair(R"({"move": "nobody", "to": [0, 0, 0]})", "no instance 'nobody'"),
+          {R"({"move": "a", "to": [0, 0]})", "2 numbers, must have 3"},
+          {R"({"set": "material", "name": "oak", "to": {"rough": 1}})", "`rough`"},
+          {R"({"set": "material", "name": "oak", "to": {"roughness": 2}})", "roughness must be"},
+          {R"({"paint": "a"})", "no edit"}}) {
+        try {
+            edits_of(std::string(R"([{"edits": []}, {"edits": [)") + edit + "]}]");
+            FAIL() << edit;
+        } catch (const UserError& error) {
+            EXPECT_NE(std::string(error.what()).find(complaint), std::string::npos) << error.what();
+            EXPECT_NE(std::string(error.what()).find("edits.json: entry 2"), std::string::npos)
+                << error.what();
+        }
+    }
+}
+
+TEST(Jpeg, comes_back_nearly_the_same_and_only_in_its_own_size) {
+    const ImageSize size{67, 45};
+    std::vector<std::uint8_t> rgb;
+    for (int y = 0; y < size.height; ++y)
+        for (int x = 0; x < size.width; ++x)
+            rgb.insert(rgb.end(), {std::uint8_t(3 * x), std::uint8_t(5 * y), 90});
+    Bytes file = encode_jpeg(rgb, size);
+    EXPECT_LT(file.size(), rgb.size() / 2);
+    const auto back = decode_jpeg(file, size);
+    ASSERT_EQ(back.size(), rgb.size());
+    for (std::size_t i = 0; i < rgb.size(); ++i) EXPECT_NEAR(back[i], rgb[i], 12);
+    EXPECT_THROW(decode_jpeg(file, {66, 45}), std::runtime_error);
+    file.resize(10);
+    EXPECT_THROW(decode_jpeg(file, size), std::runtime_error);
+}
+
+}  // namespace
+}  // namespace tessera
