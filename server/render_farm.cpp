@@ -148,7 +148,8 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
     if (!job.assembler.fits(result))
         throw ProtocolError(
             fmt::format("answers with a tile that is none of frame {}", result.task.frame));
-    if (scheduler_.completed(worker.id(), result.task, Clock::now()) == Answer::first) {
+    if (scheduler_.completed(worker.id(), result.task, Clock::now(), result.seconds) ==
+        Answer::first) {
         CHECK(job.assembler.add(result) == Arrival::stored);
         ++worker.tiles;
         worker.rays += result.rays;
@@ -161,6 +162,11 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         share.rays += result.rays;
         fold_next(job);
     }
+    pump();
+}
+
+void RenderFarm::round_trip(const WorkerSession& worker, double seconds) {
+    scheduler_.round_trip(worker.id(), seconds);
     pump();
 }
 

@@ -56,6 +56,9 @@ public:
     /// Throws ProtocolError when the result does not fit its frame.
     void tile_result(WorkerSession& worker, const TileResult& result);
 
+    /// The worker has answered a ping.
+    void round_trip(const WorkerSession& worker, double seconds);
+
     /// Closes all workers' connections and forgets all frames.
     void stop();
 

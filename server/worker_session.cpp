@@ -63,9 +63,16 @@ void WorkerSession::handle(Message message, RenderFarm& farm) {
     else if (const auto* ping = message.get<Ping>())
         connection_->send({Pong{ping->stamp}, {}});
     else if (const auto* pong = message.get<Pong>())
-        round_trip_seconds_ = 1e-9 * double(now_nanoseconds() - pong->stamp);
+        ponged(*pong, farm);
     else
         throw ProtocolError("sends a message that is not for workers to send");
+}
+
+void WorkerSession::ponged(const Pong& pong, RenderFarm& farm) {
+    const std::uint64_t now = now_nanoseconds();
+    if (pong.stamp > now) throw ProtocolError("answers a ping that was never sent");
+    round_trip_seconds_ = 1e-9 * double(now - pong.stamp);
+    farm.round_trip(*this, round_trip_seconds_);
 }
 
 void WorkerSession::send_blobs_of(const BlobRequest& request) {

@@ -53,6 +53,7 @@ public:
 
 private:
     void handle(Message message, RenderFarm& farm);
+    void ponged(const Pong& pong, RenderFarm& farm);
     void send_blobs_of(const BlobRequest& request);
     void became_ready(const SceneReady& ready, RenderFarm& farm);
     void failed(const Failure& failure, RenderFarm& farm);

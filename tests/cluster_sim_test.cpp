@@ -8,6 +8,8 @@
 
 #include <cstdlib>
 
+#include "server/sim/plans.h"
+
 namespace tessera {
 namespace {
 
@@ -17,6 +19,13 @@ TEST(ClusterSim, laws_hold_under_random_faults) {
     for (unsigned seed = 0; seed < schedules; ++seed) {
         const SimReport report = simulate(random_cluster(seed));
         ASSERT_TRUE(report.broken.empty()) << "schedule " << seed << ", " << report.broken.front();
+    }
+}
+
+TEST(ClusterSim, goals_are_reached) {
+    for (const Plan& plan : simulate_plans(Plans::small)) {
+        EXPECT_TRUE(plan.report.broken.empty()) << plan.report.broken.front();
+        EXPECT_TRUE(plan.reached()) << plan.name << ": " << plan.figure << ' ' << plan.value;
     }
 }
 

@@ -210,8 +210,8 @@ void Simulation::handle(const Event& event) {
         case What::result:
             return result_arrives(event);
         case What::ping:
-            if (worker.hangs_until <= now_)
-                at(now_ + ping_seconds, {.what = What::ping, .index = event.index, .id = event.id});
+            if (worker.hangs_until <= now_) scheduler_.round_trip(event.id, config_.round_trip);
+            at(now_ + ping_seconds, {.what = What::ping, .index = event.index, .id = event.id});
             return;
         case What::silence:
             if (std::max(worker.hangs_until, worker.cut_until) > now_) disconnect(event.index);
@@ -314,7 +314,8 @@ void Simulation::result_arrives(const Event& event) {
         return at(now_ + reconnect_seconds, {.what = What::join, .index = event.index});
     }
     Worker& worker = workers_[event.index];
-    const Answer answer = scheduler_.completed(event.id, event.task, time_point(now_));
+    const Answer answer =
+        scheduler_.completed(event.id, event.task, time_point(now_), event.seconds);
     if (answer != Answer::unknown) --worker.leases;
     if (answer == Answer::first) {
         if (frame.assembler.add(result) != Arrival::stored)
