@@ -3,6 +3,8 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <string>
+#include <vector>
 
 namespace tessera {
 
@@ -12,6 +14,10 @@ void add_compare_command(CLI::App& app);
 void add_scene_command(CLI::App& app);
 void add_bench_command(CLI::App& app);
 /// To the command `bench`.
+void add_cluster_command(CLI::App* bench);
+
+/// Becomes the program `name`, which lies beside this one.
+[[noreturn]] void become(const std::string& name, const std::vector<std::string>& arguments);
 void add_quality_command(CLI::App* bench);
 
 }  // namespace tessera

@@ -69,6 +69,7 @@ asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> sile
         // Not initialised: memory that a peer announces costs nothing until the peer fills it.
         const auto body = std::make_shared_for_overwrite<std::byte[]>(size);
         co_await read_exactly(asio::buffer(body.get(), size), silence);
+        bytes_received_ += head.size() + size;
         const std::span<const std::byte> bytes(body.get(), size);
         co_return decode(header, bytes.first(header.message_bytes),
                          {body, bytes.subspan(header.message_bytes)});
@@ -135,6 +136,7 @@ asio::awaitable<void> Connection::write_all() {
         if (error) close();
         if (!open()) break;
         queued_bytes_ -= asio::buffer_size(buffers);
+        bytes_sent_ += asio::buffer_size(buffers);
         drained_.cancel();
     }
     write_timer_.expires_at(Clock::time_point::max());

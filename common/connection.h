@@ -58,6 +58,9 @@ public:
 
     /// Bytes queued or being written, both lanes.
     std::size_t queued_bytes() const { return queued_bytes_; }
+    /// Of all messages so far.
+    std::uint64_t bytes_received() const { return bytes_received_; }
+    std::uint64_t bytes_sent() const { return bytes_sent_; }
     /// Returns when at most `bytes` wait to be sent; throws boost::system::system_error when the
     /// connection closes first. Any number of coroutines may wait.
     asio::awaitable<void> wait_until_drained(std::size_t bytes);
@@ -96,6 +99,8 @@ private:
     Lane control_;
     Lane bulk_;
     std::size_t queued_bytes_ = 0;
+    std::uint64_t bytes_received_ = 0;
+    std::uint64_t bytes_sent_ = 0;
     bool writing_ = false;
     std::string complaint_;  ///< why we closed, when it was the peer's fault
     asio::steady_timer read_timer_;

@@ -684,10 +684,11 @@ bool with_entry(Table<Entries...>, Wanted wanted, F f) {
 
 // ---- Payloads -----------------------------------------------------------------------------------
 
-/// A tile's pixels leave as the payload, which takes over their vector.
+/// A tile's pixels leave as the payload, which takes over their vector unless they are there
+/// already.
 void detach_pixels(Message& message) {
     auto* result = std::get_if<TileResult>(&message.body);
-    if (!result) return;
+    if (!result || !message.payload.bytes.empty()) return;
     const auto pixels = std::make_shared<const std::vector<float>>(std::move(result->data));
     message.payload = {pixels, std::as_bytes(std::span(*pixels))};
 }
