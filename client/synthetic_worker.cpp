@@ -60,6 +60,7 @@ public:
                            {}});
         for (;;) {
             handle(co_await connection_->receive());
+            while (const std::optional<Message> more = connection_->receive_now()) handle(*more);
             if (hangs_) co_return;
         }
     }

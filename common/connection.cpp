@@ -17,6 +17,8 @@ using Clock = std::chrono::steady_clock;
 
 /// Small messages share one system call up to this size; a large one goes alone.
 constexpr std::size_t batch_bytes = 64u << 10;
+/// What one read takes at most, unless a frame is larger.
+constexpr std::size_t block_bytes = 64u << 10;
 /// Time for the last words of a session, counted from the peer's last sign of reading.
 constexpr auto closing_deadline = std::chrono::seconds(2);
 
@@ -62,33 +64,77 @@ asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> sile
                                              FrameLimits limits) {
     const auto self = shared_from_this();
     try {
-        std::array<std::byte, frame_header_bytes> head;
-        co_await read_exactly(asio::buffer(head), silence);
-        const FrameHeader header = decode_header(head, limits);
-        const std::size_t size = std::size_t(header.message_bytes) + header.payload_bytes;
-        // Not initialised: memory that a peer announces costs nothing until the peer fills it.
-        const auto body = std::make_shared_for_overwrite<std::byte[]>(size);
-        co_await read_exactly(asio::buffer(body.get(), size), silence);
-        bytes_received_ += head.size() + size;
-        const std::span<const std::byte> bytes(body.get(), size);
-        co_return decode(header, bytes.first(header.message_bytes),
-                         {body, bytes.subspan(header.message_bytes)});
+        for (;;) {
+            if (std::optional<Message> message = take_message(limits))
+                co_return std::move(*message);
+            co_await read_more(silence);
+        }
     } catch (...) {
-        close();
-        if (!complaint_.empty()) throw ProtocolError(complaint_);
-        throw;
+        fail_receive();
     }
 }
 
-asio::awaitable<void> Connection::read_exactly(asio::mutable_buffer into,
-                                               std::optional<Clock::duration> silence) {
-    // Asked before every piece, so the timer starts anew with each that arrives.
-    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
-        if (silence) arm(read_timer_, *silence, "is silent for too long");
-        return error ? 0 : into.size();
-    };
-    co_await asio::async_read(socket_, into, next_piece, asio::use_awaitable);
-    read_timer_.expires_at(Clock::time_point::max());
+std::optional<Message> Connection::receive_now(FrameLimits limits) {
+    try {
+        return take_message(limits);
+    } catch (...) {
+        fail_receive();
+    }
+}
+
+void Connection::fail_receive() {
+    close();
+    if (!complaint_.empty()) throw ProtocolError(complaint_);
+    throw;
+}
+
+std::optional<Message> Connection::take_message(const FrameLimits& limits) {
+    if (!open()) throw boost::system::system_error(asio::error::operation_aborted);
+    const std::span<const std::byte> here(block_.get() + begin_, end_ - begin_);
+    if (here.size() < frame_header_bytes) {
+        make_room(frame_header_bytes);
+        return std::nullopt;
+    }
+    const FrameHeader header = decode_header(here.first<frame_header_bytes>(), limits);
+    const std::size_t size =
+        frame_header_bytes + std::size_t(header.message_bytes) + header.payload_bytes;
+    if (here.size() < size) {
+        make_room(size);
+        return std::nullopt;
+    }
+    begin_ += size;
+    bytes_received_ += size;
+    const std::span<const std::byte> body = here.first(size).subspan(frame_header_bytes);
+    return decode(header, body.first(header.message_bytes),
+                  {block_, body.subspan(header.message_bytes)});
+}
+
+void Connection::make_room(std::size_t frame_bytes) {
+    const std::size_t held = end_ - begin_;
+    const std::size_t size = std::max(block_bytes, frame_bytes);
+    const bool shared = block_.use_count() > 1;
+    if (held == 0 && !shared) begin_ = end_ = 0;
+    // Half a block at least, so that pieces stay large; a block of unusual size is for one frame.
+    const std::size_t wanted = std::max(frame_bytes, held + block_bytes / 2);
+    if (size == block_bytes_ && begin_ + wanted <= size) return;
+    if (shared || size != block_bytes_) {
+        // Not initialised: memory that a peer announces costs nothing until the peer fills it.
+        const auto block = std::make_shared_for_overwrite<std::byte[]>(size);
+        std::copy_n(block_.get() + begin_, held, block.get());
+        block_ = block;
+        block_bytes_ = size;
+    } else {
+        std::copy(block_.get() + begin_, block_.get() + end_, block_.get());
+    }
+    begin_ = 0;
+    end_ = held;
+}
+
+asio::awaitable<void> Connection::read_more(std::optional<Clock::duration> silence) {
+    if (silence) arm(read_timer_, *silence, "is silent for too long");
+    const auto room = asio::buffer(block_.get() + end_, block_bytes_ - end_);
+    end_ += co_await socket_.async_read_some(room, asio::use_awaitable);
+    if (silence) read_timer_.expires_at(Clock::time_point::max());
 }
 
 void Connection::send(Message message) { enqueue(control_, std::move(message)); }

@@ -1,5 +1,7 @@
 #include "common/tone_map.h"
 
+#include <array>
+#include <bit>
 #include <cmath>
 
 namespace tessera {
@@ -30,14 +32,63 @@ float linear_from_srgb(float srgb) {
     return srgb <= 0.04045f ? srgb / 12.92f : std::pow((srgb + 0.055f) / 1.055f, 2.4f);
 }
 
-std::vector<std::uint8_t> to_srgb8(const Image& image, const ToneMap& tone_map) {
-    std::vector<std::uint8_t> out;
-    out.reserve(image.size.pixels() * 3);
-    for (std::size_t p = 0; p < image.size.pixels(); ++p)
-        for (int c = 0; c < 3; ++c) {
-            const float value = apply_curve(tone_map, image.data[p * image.channels + c]);
-            out.push_back(std::uint8_t(255 * srgb_from_linear(value) + 0.5f));
+namespace {
+
+std::uint8_t quantised(const ToneMap& tone_map, float radiance) {
+    return std::uint8_t(255 * srgb_from_linear(apply_curve(tone_map, radiance)) + 0.5f);
+}
+
+/// quantised() as a table. Positive floats are ordered as their bits are, so each of the 256 values
+/// begins at some bits; a first guess comes from the upper ones.
+class ToneTable {
+public:
+    explicit ToneTable(const ToneMap& tone_map) {
+        for (int value = 1; value < 256; ++value)
+            begin_[std::size_t(value)] = first_of(tone_map, value, begin_[std::size_t(value) - 1]);
+        std::size_t value = 0;
+        for (std::size_t upper = 0; upper < guess_.size(); ++upper) {
+            while (value < 255 && begin_[value + 1] <= upper << shift) ++value;
+            guess_[upper] = std::uint8_t(value);
         }
+    }
+
+    std::uint8_t operator()(float radiance) const {
+        const auto bits = std::bit_cast<std::uint32_t>(radiance);
+        if (bits >= infinity) return 0;  // negative, infinite or not a number
+        std::size_t value = guess_[bits >> shift];
+        while (value < 255 && begin_[value + 1] <= bits) ++value;
+        return std::uint8_t(value);
+    }
+
+private:
+    static constexpr int shift = 16;
+    static constexpr std::uint32_t infinity = 0x7f800000;
+
+    /// The least bits from `from` on whose value is at least `value`.
+    static std::uint32_t first_of(const ToneMap& tone_map, int value, std::uint32_t from) {
+        std::uint32_t low = from, high = infinity;
+        while (low < high) {
+            const std::uint32_t middle = low + (high - low) / 2;
+            if (quantised(tone_map, std::bit_cast<float>(middle)) >= value)
+                high = middle;
+            else
+                low = middle + 1;
+        }
+        return low;
+    }
+
+    std::array<std::uint32_t, 256> begin_{};  ///< 0 for value 0; infinity: no float has the value
+    std::array<std::uint8_t, (infinity >> shift) + 1> guess_{};
+};
+
+}  // namespace
+
+std::vector<std::uint8_t> to_srgb8(const Image& image, const ToneMap& tone_map) {
+    const ToneTable table(tone_map);
+    std::vector<std::uint8_t> out(image.size.pixels() * 3);
+    const std::size_t channels = std::size_t(image.channels);
+    for (std::size_t p = 0; p < image.size.pixels(); ++p)
+        for (std::size_t c = 0; c < 3; ++c) out[3 * p + c] = table(image.data[p * channels + c]);
     return out;
 }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <utility>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -156,13 +157,11 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         job.rays += result.rays;
         job.sanitised += result.sanitised;
         WorkerShare& share = job.shares[worker.id()];
-        share.name = worker.name();
-        share.threads = worker.threads();
         ++share.tiles;
         share.rays += result.rays;
         fold_next(job);
     }
-    pump();
+    pump_soon();
 }
 
 void RenderFarm::round_trip(const WorkerSession& worker, double seconds) {
@@ -190,13 +189,27 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
     return out;
 }
 
+/// Later, so that results that arrive together are answered together.
+void RenderFarm::pump_soon() {
+    if (std::exchange(pump_is_due_, true)) return;
+    asio::post(strand_, [this] {
+        if (pump_is_due_) pump();
+    });
+}
+
 /// Hands out whatever can be handed out now.
 void RenderFarm::pump() {
+    pump_is_due_ = false;
     const auto now = Clock::now();
     for (const auto& [worker, task] : scheduler_.assign(now)) {
         Job& job = *jobs_.at(task.frame);
         if (!job.started) job.started = now;
-        workers_.at(worker)->hand_out(job.request.spec, task);
+        WorkerSession& session = *workers_.at(worker);
+        if (const auto [share, first] = job.shares.try_emplace(worker); first) {
+            share->second.name = session.name();
+            share->second.threads = session.threads();
+        }
+        session.hand_out(job.request.spec, task);
     }
     arm_timer();
 }
@@ -382,7 +395,8 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
         out.modelled = state->report.modelled;
         out.left_out = state->report.left_out;
     }
-    for (const auto& [id, share] : job.shares) out.workers.push_back(share);
+    for (const auto& [id, share] : job.shares)
+        if (share.tiles > 0) out.workers.push_back(share);
     return out;
 }
 

@@ -72,6 +72,7 @@ private:
     struct Job;
 
     void pump();
+    void pump_soon();
     void arm_timer();
     void sync_scene(const std::string& name);
     void sync_worker(WorkerSession& worker, const ReadyScene& scene);
@@ -98,6 +99,7 @@ private:
     std::set<std::string> doomed_;  ///< to be dropped once no frame needs them
     std::uint64_t last_frame_ = 0;
     std::uint64_t frames_done_ = 0;
+    bool pump_is_due_ = false;
     asio::steady_timer deadline_timer_;
     unsigned fold_threads_;
     asio::thread_pool pool_;

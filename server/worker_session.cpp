@@ -38,7 +38,11 @@ asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
     asio::co_spawn(
         connection_->executor(), [self] { return self->keep_pinging(); }, asio::detached);
     farm.add_worker(self);
-    for (;;) handle(co_await connection_->receive(longest_silence), farm);
+    for (;;) {
+        handle(co_await connection_->receive(longest_silence), farm);
+        while (std::optional<Message> more = connection_->receive_now())
+            handle(std::move(*more), farm);
+    }
 }
 
 void WorkerSession::leave(RenderFarm& farm) {
