@@ -17,10 +17,12 @@ float hable(float x) {
 
 float apply_curve(const ToneMap& tone_map, float radiance) {
     constexpr float white = 11.2f;  // Hable's linear white point
+    constexpr float beyond = 1e6f;  // white for long, and its square is still a float
     const float exposed = std::max(0.0f, radiance) * std::exp2(tone_map.exposure);
     if (!std::isfinite(exposed)) return 0;
-    const float mapped =
-        tone_map.curve == ToneCurve::filmic ? hable(2 * exposed) / hable(white) : exposed;
+    const float mapped = tone_map.curve == ToneCurve::filmic
+                             ? hable(std::min(2 * exposed, beyond)) / hable(white)
+                             : exposed;
     return std::min(mapped, 1.0f);
 }
 
@@ -45,9 +47,10 @@ public:
     explicit ToneTable(const ToneMap& tone_map) {
         for (int value = 1; value < 256; ++value)
             begin_[std::size_t(value)] = first_of(tone_map, value, begin_[std::size_t(value) - 1]);
+        begin_.back() = ~0u;
         std::size_t value = 0;
         for (std::size_t upper = 0; upper < guess_.size(); ++upper) {
-            while (value < 255 && begin_[value + 1] <= upper << shift) ++value;
+            while (begin_[value + 1] <= upper << shift) ++value;
             guess_[upper] = std::uint8_t(value);
         }
     }
@@ -56,7 +59,9 @@ public:
         const auto bits = std::bit_cast<std::uint32_t>(radiance);
         if (bits >= infinity) return 0;  // negative, infinite or not a number
         std::size_t value = guess_[bits >> shift];
-        while (value < 255 && begin_[value + 1] <= bits) ++value;
+        // Without a branch, which could not be predicted; one step is enough nearly always.
+        value += begin_[value + 1] <= bits;
+        while (begin_[value + 1] <= bits) ++value;
         return std::uint8_t(value);
     }
 
@@ -77,7 +82,8 @@ private:
         return low;
     }
 
-    std::array<std::uint32_t, 256> begin_{};  ///< 0 for value 0; infinity: no float has the value
+    /// 0 for value 0, infinity for those that no float has; then a guard.
+    std::array<std::uint32_t, 257> begin_{};
     std::array<std::uint8_t, (infinity >> shift) + 1> guess_{};
 };
 

@@ -1,6 +1,7 @@
 // tessera-server: the master of a cluster.
 
 #include <fmt/format.h>
+#include <malloc.h>
 
 #include <CLI/CLI.hpp>
 #include <csignal>
@@ -23,6 +24,14 @@ struct Options {
     bool exit_with_parent = false;
 };
 
+/// Buffers of a frame come and go with every frame: their pages are kept, because getting them from
+/// the system anew takes longer than filling them. 32 MiB is the most that malloc allows here.
+void keep_memory() {
+    mallopt(M_MMAP_THRESHOLD, 32 << 20);
+    mallopt(M_TRIM_THRESHOLD, 512 << 20);
+    mallopt(M_ARENA_MAX, 1);
+}
+
 void load(Server& server, const std::string& file_or_name) {
     const LoadedScene loaded = load_scene(file_or_name);
     const std::string name = std::filesystem::path(file_or_name).filename().string();
@@ -31,6 +40,7 @@ void load(Server& server, const std::string& file_or_name) {
 }
 
 void run(const Options& options) {
+    keep_memory();
     asio::io_context io(1);
     Server server(io, options.config);
     for (const std::string& scene : options.scenes) load(server, scene);

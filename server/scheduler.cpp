@@ -11,6 +11,8 @@ namespace {
 
 /// Weight of the newest task in running means: the last ten or so count.
 constexpr double newest_weight = 0.1;
+/// No task takes less, whatever a worker says.
+constexpr double least_task_seconds = 1e-6;
 /// Parts of a task's time after which what is known of all workers together is summed up again.
 constexpr double crew_refresh = 1.0 / 8;
 constexpr auto least_crew_refresh = std::chrono::microseconds(100);
@@ -322,7 +324,9 @@ void Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint n
     Worker& w = workers_[worker];
     const double took = std::chrono::duration<double>(now - lease.issued).count();
     update_mean(frame.task_seconds, took);
-    const double spent = std::min(render_seconds.value_or(took * lease.cost / lease.ahead), took);
+    const double spent = std::min(render_seconds ? std::max(*render_seconds, least_task_seconds)
+                                                 : took * lease.cost / lease.ahead,
+                                  took);
     if (spent > 0) {
         const bool known = w.task_seconds > 0;
         update_mean(w.task_seconds, spent / lease.cost);
