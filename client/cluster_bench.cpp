@@ -76,12 +76,12 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
                   .log_level = "error",
                   .programs = {}}),
       real_workers_(processes_.workers()) {
-    client_ = {.address = processes_.address(), .token = processes_.token(), .tick = [this] {
-                   interrupt_.check();
-               }};
+    client_ = {.address = processes_.address(),
+               .credentials = processes_.credentials(),
+               .tick = [this] { interrupt_.check(); }};
     if (config.synthetic)
         synthetic_.emplace(SyntheticConfig{.server = parse_address(client_.address),
-                                           .token = client_.token,
+                                           .token = client_.credentials.token,
                                            .workers = config.workers,
                                            .threads = std::uint32_t(config.threads),
                                            .tile_seconds = config.tile_seconds,

@@ -19,5 +19,9 @@ void add_cluster_command(CLI::App* bench);
 /// Becomes the program `name`, which lies beside this one.
 [[noreturn]] void become(const std::string& name, const std::vector<std::string>& arguments);
 void add_quality_command(CLI::App* bench);
+void add_keys_command(CLI::App& app);
+
+/// `--keys`, for commands that talk to a server.
+CLI::Option* add_keys_option(CLI::App* command, std::string& keys);
 
 }  // namespace tessera

@@ -43,7 +43,7 @@ asio::awaitable<void> LoadViewer::run(const SceneBundle& bundle) {
     connection_ = co_await connect(parse_address(config_.address));
     connection_->send({Hello{.role = Role::viewer,
                              .build = TESSERA_VERSION,
-                             .token = config_.token,
+                             .token = config_.credentials.token,
                              .name = "load",
                              .threads = 0},
                        {}});

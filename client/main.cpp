@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
     add_compare_command(app);
     add_scene_command(app);
     add_bench_command(app);
+    add_keys_command(app);
     start_log("tessera", "warning");
     try {
         app.parse(argc, argv);

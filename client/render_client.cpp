@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <cstdlib>
 #include <cstring>
 #include <exception>
 
@@ -14,7 +13,6 @@ namespace tessera {
 namespace {
 
 constexpr std::chrono::milliseconds tick_interval{100};
-constexpr std::chrono::seconds connect_timeout{5};
 
 /// Collects the chunks of one channel; whatever a broken server sends stays inside the picture.
 void place_chunk(const PictureChunk& chunk, std::span<const std::byte> bytes, ImageSize size,
@@ -37,11 +35,6 @@ void place_chunk(const PictureChunk& chunk, std::span<const std::byte> bytes, Im
 }
 
 }  // namespace
-
-std::string token_from_environment() {
-    const char* token = std::getenv("TESSERA_TOKEN");
-    return token ? token : "";
-}
 
 struct RenderClient::State {
     RenderClientConfig config;
@@ -95,10 +88,10 @@ struct RenderClient::State {
     }
 
     asio::awaitable<void> shake_hands() {
-        connection = co_await connect(parse_address(config.address), connect_timeout);
+        connection = co_await connect(parse_address(config.address), config.credentials.tls);
         connection->send({Hello{.role = Role::viewer,
                                 .build = TESSERA_VERSION,
-                                .token = config.token,
+                                .token = config.credentials.token,
                                 .name = "tessera"},
                           {}});
         const Message answer = co_await receive();

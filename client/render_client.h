@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "common/image.h"
+#include "common/keys.h"
 #include "common/messages.h"
 #include "common/scene.h"
 
@@ -24,13 +25,9 @@ struct RenderedFrame {
 
 struct RenderClientConfig {
     std::string address;  ///< host:port
-    std::string token;
+    Credentials credentials;
     std::function<void()> tick = [] {};
 };
-
-/// The token of TESSERA_TOKEN, empty when it is not set: never on a command line, where others
-/// could read it.
-std::string token_from_environment();
 
 class RenderClient {
 public:

@@ -161,7 +161,19 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         share.rays += result.rays;
         fold_next(job);
     }
+    let_go_if_done(worker);
     pump_soon();
+}
+
+void RenderFarm::retire(WorkerSession& worker) {
+    scheduler_.retire(worker.id());
+    let_go_if_done(worker);
+}
+
+/// Closing its connection ends the session, which then removes the worker.
+void RenderFarm::let_go_if_done(WorkerSession& worker) {
+    const WorkerPace pace = scheduler_.pace(worker.id());
+    if (pace.retired && pace.leases == 0) worker.close();
 }
 
 void RenderFarm::round_trip(const WorkerSession& worker, double seconds) {
@@ -177,15 +189,21 @@ void RenderFarm::stop() {
 
 std::vector<WorkerStatus> RenderFarm::worker_status() const {
     std::vector<WorkerStatus> out;
-    for (const auto& [id, worker] : workers_)
+    for (const auto& [id, worker] : workers_) {
+        const WorkerPace pace = scheduler_.pace(id);
         out.push_back({.peer = id,
                        .name = worker->name(),
                        .address = worker->address(),
                        .threads = worker->threads(),
-                       .leases = scheduler_.leases(id),
+                       .leases = pace.leases,
                        .tiles = worker->tiles,
                        .rays = worker->rays,
-                       .round_trip_seconds = worker->round_trip_seconds()});
+                       .round_trip_seconds = worker->round_trip_seconds(),
+                       .prefetch = pace.limit,
+                       .task_seconds = pace.task_seconds,
+                       .memory_bytes = worker->memory_bytes(),
+                       .overdue = pace.overdue});
+    }
     return out;
 }
 
@@ -339,7 +357,10 @@ void RenderFarm::finish_if_complete(Job& job) {
 
 void RenderFarm::end_job(std::uint64_t frame) {
     scheduler_.remove_frame(frame);
-    for (const auto& [id, worker] : workers_) worker->end_frame(frame);
+    for (const auto& [id, worker] : workers_) {
+        worker->end_frame(frame);
+        let_go_if_done(*worker);
+    }
     const std::string scene = jobs_.at(frame)->scene.name;
     jobs_.erase(frame);
     sync_scene(scene);

@@ -56,6 +56,8 @@ public:
     /// Throws ProtocolError when the result does not fit its frame.
     void tile_result(WorkerSession& worker, const TileResult& result);
 
+    /// The worker gets no more tasks, and goes when it has answered those that it holds.
+    void retire(WorkerSession& worker);
     /// The worker has answered a ping.
     void round_trip(const WorkerSession& worker, double seconds);
 
@@ -71,6 +73,7 @@ public:
 private:
     struct Job;
 
+    void let_go_if_done(WorkerSession& worker);
     void pump();
     void pump_soon();
     void arm_timer();

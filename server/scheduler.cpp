@@ -111,6 +111,7 @@ WorkerPace Scheduler::pace(std::uint64_t worker) const {
             .limit = w.limit,
             .round_trip = w.round_trip,
             .task_seconds = w.task_seconds,
+            .retired = w.retired,
             .overdue = w.overdue};
 }
 

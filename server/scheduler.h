@@ -74,7 +74,8 @@ struct WorkerPace {
     std::uint32_t limit = 0;   ///< and holds at most
     double round_trip = 0;     ///< seconds
     double task_seconds = 0;   ///< a thread's for an average task; 0: not known yet
-    bool overdue = false;      ///< owes an answer for longer than a lease lasts
+    bool retired = false;
+    bool overdue = false;  ///< owes an answer for longer than a lease lasts
 };
 
 class Scheduler {

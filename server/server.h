@@ -3,10 +3,14 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
+#include "common/keys.h"
+#include "server/metrics_endpoint.h"
 #include "server/render_farm.h"
 #include "server/scene_store.h"
 #include "server/viewer_session.h"
@@ -16,9 +20,13 @@ namespace tessera {
 
 struct ServerConfig {
     std::string listen = "127.0.0.1:7411";  ///< host:port; port 0 takes a free one
-    /// What peers must prove to know; empty: anybody may come in, on loopback only.
+    /// The folder `server` that make_keys() made: peers speak TLS and have one of its tokens.
+    /// Empty: plain TCP, on loopback only.
+    std::filesystem::path keys;
+    /// Without keys what peers must prove to know; empty: anybody may come in.
     std::string token;
     unsigned fold_threads = 2;
+    std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
     std::size_t most_sessions = 1024;  ///< workers and viewers together
     std::size_t most_strangers = 64;   ///< connections before their handshake is over
     std::chrono::milliseconds handshake_deadline{5000};
@@ -44,15 +52,19 @@ private:
     asio::awaitable<void> accept_peers();
     asio::awaitable<void> serve(tcp::socket socket);
     asio::awaitable<Hello> handshake(std::shared_ptr<Connection> connection);
-    std::string objection(const Hello& hello) const;
+    std::string objection(const Hello& hello, const std::string& peer_name) const;
+    std::string objection_to_token(const Hello& hello, const std::string& peer_name) const;
+    bool may_edit(const Hello& hello) const;
     Status status() const;
 
     ServerConfig config_;
+    std::optional<ServerKeys> keys_;
     asio::io_context& io_;
     tcp::acceptor acceptor_;
     std::chrono::steady_clock::time_point started_;
     SceneStore scenes_;
     RenderFarm farm_;
+    std::optional<MetricsEndpoint> metrics_;
     std::uint64_t last_peer_ = 0;
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;  ///< all that are open
     std::size_t strangers_ = 0;

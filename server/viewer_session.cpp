@@ -69,9 +69,10 @@ Message chunk_of(const Part& part, std::size_t offset) {
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
-                             std::function<Status()> status)
+                             bool may_edit, std::function<Status()> status)
     : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
+      may_edit_(may_edit),
       status_(std::move(status)) {}
 
 asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store) {
@@ -90,6 +91,11 @@ void ViewerSession::leave(RenderFarm& farm) {
 
 void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store) {
     if (const auto* update = message.get<SceneUpdate>()) {
+        if (!may_edit_)
+            return fail(0, fmt::format("scene {} is not taken: this viewer's keys are to look, not "
+                                       "to edit; use a scene that the server has loaded, or an "
+                                       "editor's keys",
+                                       update->scene));
         connection_->send({receiver_.update(*update), {}});
         publish_ready_scenes(farm, store);
     } else if (const auto* chunk = message.get<BlobChunk>()) {

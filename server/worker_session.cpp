@@ -68,6 +68,8 @@ void WorkerSession::handle(Message message, RenderFarm& farm) {
         connection_->send({Pong{ping->stamp}, {}});
     else if (const auto* pong = message.get<Pong>())
         ponged(*pong, farm);
+    else if (message.get<Leave>())
+        farm.retire(*this);
     else
         throw ProtocolError("sends a message that is not for workers to send");
 }
@@ -76,6 +78,7 @@ void WorkerSession::ponged(const Pong& pong, RenderFarm& farm) {
     const std::uint64_t now = now_nanoseconds();
     if (pong.stamp > now) throw ProtocolError("answers a ping that was never sent");
     round_trip_seconds_ = 1e-9 * double(now - pong.stamp);
+    memory_bytes_ = pong.memory_bytes;
     farm.round_trip(*this, round_trip_seconds_);
 }
 

@@ -47,6 +47,7 @@ public:
     std::uint32_t threads() const { return threads_; }
     const std::string& address() const { return connection_->remote_address(); }
     double round_trip_seconds() const { return round_trip_seconds_; }
+    std::uint64_t memory_bytes() const { return memory_bytes_; }
 
     std::uint64_t tiles = 0;  ///< results used
     std::uint64_t rays = 0;
@@ -67,6 +68,7 @@ private:
     std::deque<std::string> unanswered_;  ///< scenes of updates sent, oldest first
     std::set<std::uint64_t> frames_;      ///< begun on the worker
     double round_trip_seconds_ = 0;
+    std::uint64_t memory_bytes_ = 0;
     asio::steady_timer ping_timer_;
 };
 

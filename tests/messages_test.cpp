@@ -44,6 +44,7 @@ TEST(Messages, kinds_have_the_published_numbers) {
     EXPECT_EQ(kind_of({TileTask{}, {}}), 16);
     EXPECT_EQ(kind_of({TileResult{}, {}}), 17);
     EXPECT_EQ(kind_of({Pong{}, {}}), 22);
+    EXPECT_EQ(kind_of({Leave{}, {}}), 23);
 }
 
 TEST(Messages, every_truncation_is_refused) {
@@ -167,7 +168,7 @@ TEST(Messages, payloads_belong_to_their_kinds) {
     const FrameHeader odd{.kind = 17, .message_bytes = 0, .payload_bytes = 5};
     EXPECT_THROW(decode(odd, {}, {bytes, std::span(*bytes).first(5)}), ProtocolError);
     EXPECT_THROW(decode({.kind = 0}, {}, {}), ProtocolError);
-    EXPECT_THROW(decode({.kind = 23}, {}, {}), ProtocolError);
+    EXPECT_THROW(decode({.kind = 24}, {}, {}), ProtocolError);
 }
 
 TEST(Messages, a_payload_is_shared_and_not_copied) {

@@ -20,6 +20,7 @@ using namespace tessera;
 struct Options {
     std::string server;
     unsigned threads = std::max(std::thread::hardware_concurrency(), 1u);
+    std::string keys;
     std::string name;
     unsigned attempts = 0;
     std::string log = "info";
@@ -36,6 +37,10 @@ void declare(CLI::App& app, Options& options) {
     app.set_version_flag("--version", TESSERA_VERSION);
     app.add_option("--server", options.server, "Where tessera-server listens, HOST:PORT")
         ->required();
+    app.add_option(
+        "--keys", options.keys,
+        "Folder `worker` that `tessera keys` made, for a server that speaks TLS (default: "
+        "TESSERA_KEYS)");
     app.add_option("--threads", options.threads, "Render threads")
         ->check(CLI::Range(1u, 4096u))
         ->capture_default_str();
@@ -50,30 +55,36 @@ void declare(CLI::App& app, Options& options) {
     app.add_flag("--exit-with-parent", options.exit_with_parent,
                  "End when the process that started this one ends");
     app.footer(
-        "The environment variable TESSERA_TOKEN holds the server's token, if it asks for one.");
+        "Without keys the environment variable TESSERA_TOKEN holds the server's token, if it asks "
+        "for one.");
 }
 
 WorkerConfig config_of(const Options& options) {
-    const char* token = std::getenv("TESSERA_TOKEN");
     WorkerConfig config{.server = parse_address(options.server),
                         .threads = options.threads,
                         .name = options.name.empty() ? default_name() : options.name,
-                        .token = token ? token : "",
+                        .credentials = load_credentials(options.keys),
                         .attempts = std::nullopt};
     if (options.attempts > 0) config.attempts = options.attempts;
     return config;
 }
+
+/// A worker that is asked to stop has this long for what it has begun; others do the rest.
+constexpr auto leave_deadline = std::chrono::seconds(5);
 
 /// Serves until a signal ends it or the worker gives up, which throws.
 void serve(const WorkerConfig& config) {
     asio::io_context io(1);
     Worker worker(config);
     asio::signal_set signals(io, SIGINT, SIGTERM);
+    asio::steady_timer patience(io);
     signals.async_wait([&](const boost::system::error_code& error, int) {
         if (error) return;
-        spdlog::info("stops");
+        spdlog::info("finishes the tiles it has been handed, then stops");
         signals.clear();  // a second signal ends the process at once
-        io.stop();
+        if (!worker.leave()) return io.stop();
+        patience.expires_after(leave_deadline);
+        patience.async_wait([&](const boost::system::error_code&) { io.stop(); });
     });
     std::exception_ptr failure;
     asio::co_spawn(io, worker.run(), [&](std::exception_ptr error) {

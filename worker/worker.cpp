@@ -25,7 +25,7 @@ asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& co
     connection.send({Hello{.protocol = protocol_version,
                            .role = Role::worker,
                            .build = TESSERA_VERSION,
-                           .token = config.token,
+                           .token = config.credentials.token,
                            .name = config.name,
                            .threads = config.threads},
                      {}});
@@ -48,11 +48,20 @@ std::chrono::milliseconds retry_delay(unsigned failures, double u) {
 }
 
 asio::awaitable<void> Worker::serve() {
-    const auto connection = co_await connect(config_.server);
+    const auto connection = co_await connect(config_.server, config_.credentials.tls);
     co_await shake_hands(*connection, config_);
     failures_ = 0;
     const auto session = std::make_shared<Session>(connection, pools_, config_.threads);
+    session_ = session;
+    if (leaving_) session->leave();
     co_await session->run();
+}
+
+bool Worker::leave() {
+    leaving_ = true;
+    const auto session = session_.lock();
+    if (session) session->leave();
+    return session != nullptr;
 }
 
 asio::awaitable<void> Worker::run() {
@@ -72,6 +81,7 @@ asio::awaitable<void> Worker::run() {
         } catch (const boost::system::system_error& error) {
             problem = fmt::format("{} is lost: {}", server, error.code().message());
         }
+        if (leaving_) co_return;
         ++failures_;
         if (config_.attempts && failures_ >= *config_.attempts)
             throw UserError(fmt::format("{}; gave up after {} attempts", problem, failures_));
