@@ -11,11 +11,9 @@
 #include "common/check.h"
 
 namespace tessera {
-namespace {
-
-[[noreturn]] void become_bench(const std::vector<std::string>& arguments) {
+void become(const std::string& name, const std::vector<std::string>& arguments) {
     const auto folder = std::filesystem::read_symlink("/proc/self/exe").parent_path();
-    const std::string program = folder / "tessera-bench";
+    const std::string program = folder / name;
     std::vector<std::string> strings{program};
     strings.insert(strings.end(), arguments.begin(), arguments.end());
     std::vector<char*> argv;
@@ -26,20 +24,19 @@ namespace {
                                 std::strerror(errno)));
 }
 
-}  // namespace
-
 void add_bench_command(CLI::App& app) {
     CLI::App* command = app.add_subcommand(
         "bench",
-        "Measure quality, latency (view), or the tracer: trace, build or stability; `tessera bench "
-        "--help` tells more");
+        "Measure quality, latency (view), a cluster, or the tracer: trace, build or stability; "
+        "`tessera bench --help` tells more");
     add_quality_command(command);
     add_view_bench_command(command);
+    add_cluster_command(command);
     // Everything else behind `bench` is tessera-bench's to understand, its --help too.
     command->prefix_command();
     command->set_help_flag();
     command->callback([command] {
-        if (command->get_subcommands().empty()) become_bench(command->remaining());
+        if (command->get_subcommands().empty()) become("tessera-bench", command->remaining());
     });
 }
 

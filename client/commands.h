@@ -3,6 +3,8 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
+#include <string>
+#include <vector>
 
 namespace tessera {
 
@@ -14,6 +16,10 @@ void add_edit_command(CLI::App& app);
 void add_view_command(CLI::App& app);
 void add_bench_command(CLI::App& app);
 /// To the command `bench`.
+void add_cluster_command(CLI::App* bench);
+
+/// Becomes the program `name`, which lies beside this one.
+[[noreturn]] void become(const std::string& name, const std::vector<std::string>& arguments);
 void add_quality_command(CLI::App* bench);
 void add_view_bench_command(CLI::App* bench);
 void add_keys_command(CLI::App& app);

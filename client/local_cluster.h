@@ -35,6 +35,8 @@ public:
 
     /// Worker processes, for tests that hurt them.
     std::vector<pid_t> workers() const;
+    /// The server's process, to be watched.
+    pid_t server() const { return children_.front().pid; }
 
     /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
     void check_alive();

@@ -19,6 +19,8 @@ namespace ssl = asio::ssl;
 
 /// Small messages share one system call up to this size; a large one goes alone.
 constexpr std::size_t batch_bytes = 64u << 10;
+/// What one read takes at most, unless a frame is larger.
+constexpr std::size_t block_bytes = 64u << 10;
 /// Time for the last words of a session, counted from the peer's last sign of reading.
 constexpr auto closing_deadline = std::chrono::seconds(2);
 /// What a TLS client sends first: a record of the handshake.
@@ -106,41 +108,86 @@ asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> sile
                                              FrameLimits limits) {
     const auto self = shared_from_this();
     try {
-        std::array<std::byte, frame_header_bytes> head;
-        co_await read_exactly(asio::buffer(head), silence);
-        const FrameHeader header = decode_header(head, limits);
-        const std::size_t size = std::size_t(header.message_bytes) + header.payload_bytes;
-        // Not initialised: memory that a peer announces costs nothing until the peer fills it.
-        const auto body = std::make_shared_for_overwrite<std::byte[]>(size);
-        co_await read_exactly(asio::buffer(body.get(), size), silence);
-        const std::span<const std::byte> bytes(body.get(), size);
-        co_return decode(header, bytes.first(header.message_bytes),
-                         {body, bytes.subspan(header.message_bytes)});
+        for (;;) {
+            if (std::optional<Message> message = take_message(limits))
+                co_return std::move(*message);
+            co_await read_more(silence);
+        }
     } catch (...) {
-        close();
-        if (!complaint_.empty()) throw ProtocolError(complaint_);
-        throw;
+        fail_receive();
     }
 }
 
-asio::awaitable<void> Connection::read_exactly(asio::mutable_buffer into,
-                                               std::optional<Clock::duration> silence) {
-    // Asked before every piece, so the timer starts anew with each that arrives.
-    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
-        if (silence) arm(read_timer_, *silence, "is silent for too long");
-        return error ? 0 : into.size();
-    };
+std::optional<Message> Connection::receive_now(FrameLimits limits) {
+    try {
+        return take_message(limits);
+    } catch (...) {
+        fail_receive();
+    }
+}
+
+void Connection::fail_receive() {
+    close();
+    if (!complaint_.empty()) throw ProtocolError(complaint_);
+    throw;
+}
+
+std::optional<Message> Connection::take_message(const FrameLimits& limits) {
+    if (!open()) throw boost::system::system_error(asio::error::operation_aborted);
+    const std::span<const std::byte> here(block_.get() + begin_, end_ - begin_);
+    if (here.size() < frame_header_bytes) {
+        make_room(frame_header_bytes);
+        return std::nullopt;
+    }
+    const FrameHeader header = decode_header(here.first<frame_header_bytes>(), limits);
+    const std::size_t size =
+        frame_header_bytes + std::size_t(header.message_bytes) + header.payload_bytes;
+    if (here.size() < size) {
+        make_room(size);
+        return std::nullopt;
+    }
+    begin_ += size;
+    bytes_received_ += size;
+    const std::span<const std::byte> body = here.first(size).subspan(frame_header_bytes);
+    return decode(header, body.first(header.message_bytes),
+                  {block_, body.subspan(header.message_bytes)});
+}
+
+void Connection::make_room(std::size_t frame_bytes) {
+    const std::size_t held = end_ - begin_;
+    const std::size_t size = std::max(block_bytes, frame_bytes);
+    const bool shared = block_.use_count() > 1;
+    if (held == 0 && !shared) begin_ = end_ = 0;
+    // Half a block at least, so that pieces stay large; a block of unusual size is for one frame.
+    const std::size_t wanted = std::max(frame_bytes, held + block_bytes / 2);
+    if (size == block_bytes_ && begin_ + wanted <= size) return;
+    if (shared || size != block_bytes_) {
+        // Not initialised: memory that a peer announces costs nothing until the peer fills it.
+        const auto block = std::make_shared_for_overwrite<std::byte[]>(size);
+        std::copy_n(block_.get() + begin_, held, block.get());
+        block_ = block;
+        block_bytes_ = size;
+    } else {
+        std::copy(block_.get() + begin_, block_.get() + end_, block_.get());
+    }
+    begin_ = 0;
+    end_ = held;
+}
+
+asio::awaitable<void> Connection::read_more(std::optional<Clock::duration> silence) {
+    if (silence) arm(read_timer_, *silence, "is silent for too long");
+    const auto room = asio::buffer(block_.get() + end_, block_bytes_ - end_);
     error_code error;
     if (tunnel_)
-        co_await asio::async_read(tunnel_->stream, into, next_piece,
-                                  asio::redirect_error(asio::use_awaitable, error));
+        end_ += co_await tunnel_->stream.async_read_some(
+            room, asio::redirect_error(asio::use_awaitable, error));
     else
-        co_await asio::async_read(socket_, into, next_piece,
-                                  asio::redirect_error(asio::use_awaitable, error));
+        end_ += co_await socket_.async_read_some(room,
+                                                 asio::redirect_error(asio::use_awaitable, error));
     // Nobody says TLS's goodbye: frames tell where they end.
     if (error == ssl::error::stream_truncated) error = asio::error::eof;
     if (error) throw boost::system::system_error(error);
-    read_timer_.expires_at(Clock::time_point::max());
+    if (silence) read_timer_.expires_at(Clock::time_point::max());
 }
 
 void Connection::send(Message message) { enqueue(control_, std::move(message)); }
@@ -178,6 +225,7 @@ asio::awaitable<void> Connection::write_all() {
         if (co_await write(batch)) close();
         if (!open()) break;
         queued_bytes_ -= size;
+        bytes_sent_ += size;
         drained_.cancel();
     }
     write_timer_.expires_at(Clock::time_point::max());

@@ -60,6 +60,8 @@ public:
     /// throws, the connection is closed.
     asio::awaitable<Message> receive(
         std::optional<std::chrono::steady_clock::duration> silence = {}, FrameLimits limits = {});
+    /// A message that has arrived already, without waiting; throws as `receive` does.
+    std::optional<Message> receive_now(FrameLimits limits = {});
 
     /// Queues a message; within a lane messages keep their order, and bulk messages go out only
     /// when no control message waits. Never blocks and never throws for the peer's faults; on a
@@ -70,6 +72,9 @@ public:
 
     /// Bytes queued or being written, both lanes.
     std::size_t queued_bytes() const { return queued_bytes_; }
+    /// Of all messages so far.
+    std::uint64_t bytes_received() const { return bytes_received_; }
+    std::uint64_t bytes_sent() const { return bytes_sent_; }
     /// Returns when at most `bytes` wait to be sent; throws boost::system::system_error when the
     /// connection closes first. Any number of coroutines may wait.
     asio::awaitable<void> wait_until_drained(std::size_t bytes);
@@ -98,8 +103,13 @@ private:
     asio::awaitable<boost::system::error_code> write(std::span<const EncodedMessage> batch);
     /// Returns when something was sent or the connection closed.
     asio::awaitable<void> progress();
-    asio::awaitable<void> read_exactly(asio::mutable_buffer into,
-                                       std::optional<std::chrono::steady_clock::duration> silence);
+    /// The next message if all of it is here.
+    std::optional<Message> take_message(const FrameLimits& limits);
+    /// Makes room in `block_` for a frame of that size at `begin_`.
+    void make_room(std::size_t frame_bytes);
+    asio::awaitable<void> read_more(std::optional<std::chrono::steady_clock::duration> silence);
+    /// Closes and rethrows the current exception, or what we hold against the peer.
+    [[noreturn]] void fail_receive();
     /// Lets `timer` close the connection after `time` unless armed again or disarmed before.
     void arm(asio::steady_timer& timer, std::chrono::steady_clock::duration time,
              const char* complaint);
@@ -111,7 +121,15 @@ private:
     Lane control_;
     Lane bulk_;
     std::size_t queued_bytes_ = 0;
+    std::uint64_t bytes_received_ = 0;
+    std::uint64_t bytes_sent_ = 0;
     bool writing_ = false;
+    // What has arrived and not been taken: [begin_, end_) of block_. Payloads share the block,
+    // which is used again once nobody does.
+    std::shared_ptr<std::byte[]> block_;
+    std::size_t block_bytes_ = 0;
+    std::size_t begin_ = 0;
+    std::size_t end_ = 0;
     std::string complaint_;  ///< why we closed, when it was the peer's fault
     asio::steady_timer read_timer_;
     asio::steady_timer write_timer_;

@@ -111,6 +111,10 @@ void pack(const WorkerStatus& v, wire::WorkerStatus& out) {
     out.set_tiles(v.tiles);
     out.set_rays(v.rays);
     out.set_round_trip_seconds(v.round_trip_seconds);
+    out.set_prefetch(v.prefetch);
+    out.set_task_seconds(v.task_seconds);
+    out.set_memory_bytes(v.memory_bytes);
+    out.set_overdue(v.overdue);
 }
 void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.peer = in.peer();
@@ -121,6 +125,10 @@ void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.tiles = in.tiles();
     v.rays = in.rays();
     v.round_trip_seconds = amount(in.round_trip_seconds(), "round_trip_seconds");
+    v.prefetch = in.prefetch();
+    v.task_seconds = amount(in.task_seconds(), "task_seconds");
+    v.memory_bytes = in.memory_bytes();
+    v.overdue = in.overdue();
 }
 
 void pack(const SceneStatus& v, wire::SceneStatus& out) {
@@ -583,8 +591,17 @@ void unpack(const wire::Refused& in, Refused& v) { v.reason = in.reason(); }
 void pack(const Ping& v, wire::Ping& out) { out.set_stamp(v.stamp); }
 void unpack(const wire::Ping& in, Ping& v) { v.stamp = in.stamp(); }
 
-void pack(const Pong& v, wire::Pong& out) { out.set_stamp(v.stamp); }
-void unpack(const wire::Pong& in, Pong& v) { v.stamp = in.stamp(); }
+void pack(const Pong& v, wire::Pong& out) {
+    out.set_stamp(v.stamp);
+    out.set_memory_bytes(v.memory_bytes);
+}
+void unpack(const wire::Pong& in, Pong& v) {
+    v.stamp = in.stamp();
+    v.memory_bytes = in.memory_bytes();
+}
+
+void pack(const Leave&, wire::Leave&) {}
+void unpack(const wire::Leave&, Leave&) {}
 
 void pack(const Failure& v, wire::Failure& out) {
     out.set_request(v.request);
@@ -871,6 +888,7 @@ void pack(const Status& v, wire::Status& out) {
     out.set_frames_done(v.frames_done);
     pack_each(v.scenes, *out.mutable_scenes());
     pack_each(v.workers, *out.mutable_workers());
+    out.set_memory_bytes(v.memory_bytes);
 }
 void unpack(const wire::Status& in, Status& v) {
     v.build = in.build();
@@ -880,6 +898,7 @@ void unpack(const wire::Status& in, Status& v) {
     v.frames_done = in.frames_done();
     unpack_each(in.scenes(), v.scenes);
     unpack_each(in.workers(), v.workers);
+    v.memory_bytes = in.memory_bytes();
 }
 
 // ---- Kinds --------------------------------------------------------------------------------------
@@ -921,7 +940,8 @@ using Kinds = Table<
     Entry<SceneEdit, wire::SceneEdit, wire::KIND_SCENE_EDIT>,
     Entry<EditResult, wire::EditResult, wire::KIND_EDIT_RESULT>,
     Entry<View, wire::View, wire::KIND_VIEW>, Entry<ViewEnd, wire::ViewEnd, wire::KIND_VIEW_END>,
-    Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>>;
+    Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>,
+    Entry<Leave, wire::Leave, wire::KIND_LEAVE>>;
 
 /// Calls `f` with the entry for which `wanted(entry)` holds; returns whether there is one.
 template <class... Entries, class Wanted, class F>
@@ -931,10 +951,11 @@ bool with_entry(Table<Entries...>, Wanted wanted, F f) {
 
 // ---- Payloads -----------------------------------------------------------------------------------
 
-/// A tile's pixels leave as the payload, which takes over their vector.
+/// A tile's pixels leave as the payload, which takes over their vector unless they are there
+/// already.
 void detach_pixels(Message& message) {
     auto* result = std::get_if<TileResult>(&message.body);
-    if (!result) return;
+    if (!result || !message.payload.bytes.empty()) return;
     const auto pixels = std::make_shared<const std::vector<float>>(std::move(result->data));
     message.payload = {pixels, std::as_bytes(std::span(*pixels))};
 }

@@ -1,7 +1,8 @@
 // Who says what to whom: the protocol as plain values. proto/protocol.proto is the public contract;
 // common/messages.cpp is the only place where Protocol Buffers become values and back.
 //
-//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong
+//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong,
+//                      Leave
 //   viewer -> server   Hello, SceneUpdate, BlobChunk*, SceneShare, SceneWatch, BlobRequest,
 //                      SceneEdit, View, ViewEnd, FrameRequest, FrameCancel, StatusRequest, Ping,
 //                      Pong
@@ -275,6 +276,10 @@ struct WorkerStatus {
     std::uint64_t tiles = 0;
     std::uint64_t rays = 0;
     double round_trip_seconds = 0;
+    std::uint32_t prefetch = 0;      ///< tasks that it may hold at the pace it shows
+    double task_seconds = 0;         ///< of one of its threads for a task; 0: not known yet
+    std::uint64_t memory_bytes = 0;  ///< resident; 0: not known
+    bool overdue = false;            ///< has let a lease expire and not been heard of since
 
     bool operator==(const WorkerStatus&) const = default;
 };
@@ -294,6 +299,7 @@ struct Status {
     std::uint64_t frames_done = 0;
     std::vector<SceneStatus> scenes;
     std::vector<WorkerStatus> workers;
+    std::uint64_t memory_bytes = 0;  ///< the server's, resident
 
     bool operator==(const Status&) const = default;
 };
@@ -305,15 +311,23 @@ struct Ping {
 };
 struct Pong {
     std::uint64_t stamp = 0;
+    std::uint64_t memory_bytes = 0;  ///< a worker's, resident; 0: not told
 
     bool operator==(const Pong&) const = default;
+};
+
+/// The worker wants to end: it gets no more tasks, and the server closes the connection once it
+/// has answered those that it holds.
+struct Leave {
+    bool operator==(const Leave&) const = default;
 };
 
 using MessageBody =
     std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk, SceneReady,
                  SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
                  FrameBegin, FrameEnd, TileTask, TileResult, Failure, StatusRequest, Status, Ping,
-                 Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture>;
+                 Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture,
+                 Leave>;
 
 /// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
 struct Payload {

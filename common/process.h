@@ -1,11 +1,16 @@
 // The life of a process among its relatives.
 #pragma once
 
+#include <cstdint>
+
 namespace tessera {
 
 /// Kills this process (SIGKILL) when its parent ends, however that happens. To be called early in
 /// main. The kernel takes the death of the *thread* that started this process
 /// for the parent's: a program that starts such children does so from a thread that outlives them.
 void end_with_parent();
+
+/// Memory of this process that is resident, in bytes.
+std::uint64_t resident_bytes();
 
 }  // namespace tessera

@@ -13,54 +13,17 @@ float hable(float x) {
     return (x * (a * x + c * b) + d * e) / (x * (a * x + b) + d * f) - e / f;
 }
 
-/// `radiance` times 2^exposure on the curve.
-float on_curve(ToneCurve curve, float exposed) {
-    constexpr float white = 11.2f;  // Hable's linear white point
-    if (!std::isfinite(exposed)) return 0;
-    const float mapped = curve == ToneCurve::filmic ? hable(2 * exposed) / hable(white) : exposed;
-    return std::min(mapped, 1.0f);
-}
-
-std::uint8_t srgb_byte(float linear) { return std::uint8_t(255 * srgb_from_linear(linear) + 0.5f); }
-
-/// srgb_byte() by table: tone mapping is between a viewer and its picture.
-class SrgbBytes {
-public:
-    SrgbBytes() {
-        for (int byte = 1; byte < 256; ++byte) lowest_[std::size_t(byte)] = lowest(byte);
-        lowest_[256] = infinity;
-        for (int cell = 0; cell <= cells; ++cell)
-            guess_[std::size_t(cell)] = srgb_byte(float(cell) / cells);
-    }
-
-    /// For 0 <= v <= 1.
-    std::uint8_t operator()(float v) const {
-        std::size_t byte = guess_[std::size_t(v * cells)];
-        while (v >= lowest_[byte + 1]) ++byte;
-        return std::uint8_t(byte);
-    }
-
-private:
-    static constexpr int cells = 4096;  // of less than a byte each
-
-    /// The least value that becomes this byte or more.
-    static float lowest(int byte) {
-        std::uint32_t below = 0, found = std::bit_cast<std::uint32_t>(1.0f);
-        while (found - below > 1) {
-            const std::uint32_t middle = (below + found) / 2;
-            (srgb_byte(std::bit_cast<float>(middle)) >= byte ? found : below) = middle;
-        }
-        return std::bit_cast<float>(found);
-    }
-
-    std::array<float, 257> lowest_{};
-    std::array<std::uint8_t, cells + 1> guess_{};
-};
-
 }  // namespace
 
 float apply_curve(const ToneMap& tone_map, float radiance) {
-    return on_curve(tone_map.curve, std::max(0.0f, radiance) * std::exp2(tone_map.exposure));
+    constexpr float white = 11.2f;  // Hable's linear white point
+    constexpr float beyond = 1e6f;  // white for long, and its square is still a float
+    const float exposed = std::max(0.0f, radiance) * std::exp2(tone_map.exposure);
+    if (!std::isfinite(exposed)) return 0;
+    const float mapped = tone_map.curve == ToneCurve::filmic
+                             ? hable(std::min(2 * exposed, beyond)) / hable(white)
+                             : exposed;
+    return std::min(mapped, 1.0f);
 }
 
 float srgb_from_linear(float linear) {
@@ -71,15 +34,67 @@ float linear_from_srgb(float srgb) {
     return srgb <= 0.04045f ? srgb / 12.92f : std::pow((srgb + 0.055f) / 1.055f, 2.4f);
 }
 
-std::vector<std::uint8_t> to_srgb8(const Image& image, const ToneMap& tone_map) {
-    const SrgbBytes bytes;
-    const float exposure = std::exp2(tone_map.exposure);
-    std::vector<std::uint8_t> out(image.size.pixels() * 3);
-    for (std::size_t p = 0; p < image.size.pixels(); ++p)
-        for (std::size_t c = 0; c < 3; ++c) {
-            const float radiance = image.data[p * std::size_t(image.channels) + c];
-            out[3 * p + c] = bytes(on_curve(tone_map.curve, std::max(0.0f, radiance) * exposure));
+namespace {
+
+std::uint8_t quantised(const ToneMap& tone_map, float radiance) {
+    return std::uint8_t(255 * srgb_from_linear(apply_curve(tone_map, radiance)) + 0.5f);
+}
+
+/// quantised() as a table. Positive floats are ordered as their bits are, so each of the 256 values
+/// begins at some bits; a first guess comes from the upper ones.
+class ToneTable {
+public:
+    explicit ToneTable(const ToneMap& tone_map) {
+        for (int value = 1; value < 256; ++value)
+            begin_[std::size_t(value)] = first_of(tone_map, value, begin_[std::size_t(value) - 1]);
+        begin_.back() = ~0u;
+        std::size_t value = 0;
+        for (std::size_t upper = 0; upper < guess_.size(); ++upper) {
+            while (begin_[value + 1] <= upper << shift) ++value;
+            guess_[upper] = std::uint8_t(value);
         }
+    }
+
+    std::uint8_t operator()(float radiance) const {
+        const auto bits = std::bit_cast<std::uint32_t>(radiance);
+        if (bits >= infinity) return 0;  // negative, infinite or not a number
+        std::size_t value = guess_[bits >> shift];
+        // Without a branch, which could not be predicted; one step is enough nearly always.
+        value += begin_[value + 1] <= bits;
+        while (begin_[value + 1] <= bits) ++value;
+        return std::uint8_t(value);
+    }
+
+private:
+    static constexpr int shift = 16;
+    static constexpr std::uint32_t infinity = 0x7f800000;
+
+    /// The least bits from `from` on whose value is at least `value`.
+    static std::uint32_t first_of(const ToneMap& tone_map, int value, std::uint32_t from) {
+        std::uint32_t low = from, high = infinity;
+        while (low < high) {
+            const std::uint32_t middle = low + (high - low) / 2;
+            if (quantised(tone_map, std::bit_cast<float>(middle)) >= value)
+                high = middle;
+            else
+                low = middle + 1;
+        }
+        return low;
+    }
+
+    /// 0 for value 0, infinity for those that no float has; then a guard.
+    std::array<std::uint32_t, 257> begin_{};
+    std::array<std::uint8_t, (infinity >> shift) + 1> guess_{};
+};
+
+}  // namespace
+
+std::vector<std::uint8_t> to_srgb8(const Image& image, const ToneMap& tone_map) {
+    const ToneTable table(tone_map);
+    std::vector<std::uint8_t> out(image.size.pixels() * 3);
+    const std::size_t channels = std::size_t(image.channels);
+    for (std::size_t p = 0; p < image.size.pixels(); ++p)
+        for (std::size_t c = 0; c < 3; ++c) out[3 * p + c] = table(image.data[p * channels + c]);
     return out;
 }
 

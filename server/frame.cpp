@@ -49,11 +49,7 @@ Image scaled_image(ImageSize size, int channels, std::span<const float> values, 
 }  // namespace
 
 FrameSums::FrameSums(const FrameSpec& spec)
-    : spec_(spec),
-      sum_(3 * spec.size.pixels()),
-      mean_(3 * spec.size.pixels()),
-      squares_(3 * spec.size.pixels()),
-      row_errors_(std::size_t(spec.size.height)) {
+    : spec_(spec), sum_(3 * spec.size.pixels()), row_errors_(std::size_t(spec.size.height)) {
     for (Channel c : channels_in(spec.extra))
         extra_[c].resize(std::size_t(floats_per_pixel(c)) * spec.size.pixels());
     if (spec.settings.integrator != Integrator::igi) return;
@@ -90,18 +86,19 @@ void FrameSums::fold_row(const RunBuffer& run, std::span<const float> irradiance
         const float lit = igi ? radiance[i] + albedo[i] * (1 / pi) * irradiance[i] : radiance[i];
         const float value = finite_or_zero(lit);
         sum_[i] += value;
+        if (runs_ == 0) continue;
         const float deviation = value * per_pass - mean_[i];
         mean_[i] += deviation * per_run;
         squares_[i] += deviation * (value * per_pass - mean_[i]);
     }
-    row_errors_[std::size_t(y)] = row_error(y);
+    if (runs_ > 0) row_errors_[std::size_t(y)] = row_error(y);
 }
 
 /// Squared standard errors of a row's means, as far as they are visible within [0, 1].
 double FrameSums::row_error(int y) const {
     const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
     const std::size_t begin = std::size_t(y) * row_floats;
-    const float scale = runs_ > 0 ? 1 / (float(runs_) * float(runs_ + 1)) : 0;
+    const float scale = 1 / (float(runs_) * float(runs_ + 1));
     double sum = 0;
     for (std::size_t i = begin; i < begin + row_floats; ++i) {
         const float room = mean_[i] < 1 ? std::max(mean_[i], 1 - mean_[i]) : 0;
@@ -151,6 +148,15 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
 void FrameSums::finish_run(const RunBuffer& run) {
     ++runs_;
     passes_ += run.passes;
+    if (runs_ == 1 && run_count(spec_.settings) > 1) begin_means();
+}
+
+/// The mean of the first run is its sum, and nothing has deviated yet.
+void FrameSums::begin_means() {
+    mean_.resize(sum_.size());
+    squares_.resize(sum_.size());
+    const float per_pass = 1 / float(passes_);
+    for (std::size_t i = 0; i < sum_.size(); ++i) mean_[i] = sum_[i] * per_pass;
 }
 
 double FrameSums::error_estimate() const {

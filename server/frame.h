@@ -54,12 +54,14 @@ private:
     std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
     void fold_row(const RunBuffer& run, std::span<const float> irradiance, int y);
     void fold_detail(const RunBuffer& run, std::span<const float> irradiance, int y);
+    void begin_means();
     double row_error(int y) const;
 
     FrameSpec spec_;
     std::uint32_t runs_ = 0;
     std::uint32_t passes_ = 0;
     std::vector<float> sum_;
+    // From the second run on:
     std::vector<float> mean_;         ///< of the runs' means; runs count the same
     std::vector<float> squares_;      ///< squared deviations from it (Welford 1962)
     std::vector<double> row_errors_;  ///< squared standard errors added up per row

@@ -1,6 +1,7 @@
 // tessera-server: the master of a cluster.
 
 #include <fmt/format.h>
+#include <malloc.h>
 
 #include <CLI/CLI.hpp>
 #include <csignal>
@@ -23,6 +24,14 @@ struct Options {
     bool exit_with_parent = false;
 };
 
+/// Buffers of a frame come and go with every frame: their pages are kept, because getting them from
+/// the system anew takes longer than filling them. 32 MiB is the most that malloc allows here.
+void keep_memory() {
+    mallopt(M_MMAP_THRESHOLD, 32 << 20);
+    mallopt(M_TRIM_THRESHOLD, 512 << 20);
+    mallopt(M_ARENA_MAX, 1);
+}
+
 void load(Server& server, const std::string& file_or_name) {
     const LoadedScene loaded = load_scene(file_or_name);
     const std::string name = std::filesystem::path(file_or_name).filename().string();
@@ -31,6 +40,7 @@ void load(Server& server, const std::string& file_or_name) {
 }
 
 void run(const Options& options) {
+    keep_memory();
     asio::io_context io(1);
     Server server(io, options.config);
     for (const std::string& scene : options.scenes) load(server, scene);
@@ -63,6 +73,10 @@ int main(int argc, char** argv) {
                    "folder `server` that `tessera keys` made: peers speak TLS and have its tokens; "
                    "needed to listen beyond loopback")
         ->envname("TESSERA_KEYS");
+    app.add_option(
+           "--metrics", options.config.metrics,
+           "address at which Prometheus finds metrics; anybody who reaches it can read them")
+        ->type_name("HOST:PORT");
     app.add_option("--log", options.log_level, "how much to log")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();

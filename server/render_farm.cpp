@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <utility>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -148,19 +149,35 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
     if (!job.assembler.fits(result))
         throw ProtocolError(
             fmt::format("answers with a tile that is none of frame {}", result.task.frame));
-    if (scheduler_.completed(worker.id(), result.task, Clock::now()) == Answer::first) {
+    if (scheduler_.completed(worker.id(), result.task, Clock::now(), result.seconds) ==
+        Answer::first) {
         CHECK(job.assembler.add(result) == Arrival::stored);
         ++worker.tiles;
         worker.rays += result.rays;
         job.rays += result.rays;
         job.sanitised += result.sanitised;
         WorkerShare& share = job.shares[worker.id()];
-        share.name = worker.name();
-        share.threads = worker.threads();
         ++share.tiles;
         share.rays += result.rays;
         fold_next(job);
     }
+    let_go_if_done(worker);
+    pump_soon();
+}
+
+void RenderFarm::retire(WorkerSession& worker) {
+    scheduler_.retire(worker.id());
+    let_go_if_done(worker);
+}
+
+/// Closing its connection ends the session, which then removes the worker.
+void RenderFarm::let_go_if_done(WorkerSession& worker) {
+    const WorkerPace pace = scheduler_.pace(worker.id());
+    if (pace.retired && pace.leases == 0) worker.close();
+}
+
+void RenderFarm::round_trip(const WorkerSession& worker, double seconds) {
+    scheduler_.round_trip(worker.id(), seconds);
     pump();
 }
 
@@ -172,25 +189,45 @@ void RenderFarm::stop() {
 
 std::vector<WorkerStatus> RenderFarm::worker_status() const {
     std::vector<WorkerStatus> out;
-    for (const auto& [id, worker] : workers_)
+    for (const auto& [id, worker] : workers_) {
+        const WorkerPace pace = scheduler_.pace(id);
         out.push_back({.peer = id,
                        .name = worker->name(),
                        .address = worker->address(),
                        .threads = worker->threads(),
-                       .leases = scheduler_.leases(id),
+                       .leases = pace.leases,
                        .tiles = worker->tiles,
                        .rays = worker->rays,
-                       .round_trip_seconds = worker->round_trip_seconds()});
+                       .round_trip_seconds = worker->round_trip_seconds(),
+                       .prefetch = pace.limit,
+                       .task_seconds = pace.task_seconds,
+                       .memory_bytes = worker->memory_bytes(),
+                       .overdue = pace.overdue});
+    }
     return out;
+}
+
+/// Later, so that results that arrive together are answered together.
+void RenderFarm::pump_soon() {
+    if (std::exchange(pump_is_due_, true)) return;
+    asio::post(strand_, [this] {
+        if (pump_is_due_) pump();
+    });
 }
 
 /// Hands out whatever can be handed out now.
 void RenderFarm::pump() {
+    pump_is_due_ = false;
     const auto now = Clock::now();
     for (const auto& [worker, task] : scheduler_.assign(now)) {
         Job& job = *jobs_.at(task.frame);
         if (!job.started) job.started = now;
-        workers_.at(worker)->hand_out(job.request.spec, task);
+        WorkerSession& session = *workers_.at(worker);
+        if (const auto [share, first] = job.shares.try_emplace(worker); first) {
+            share->second.name = session.name();
+            share->second.threads = session.threads();
+        }
+        session.hand_out(job.request.spec, task);
     }
     arm_timer();
 }
@@ -335,7 +372,10 @@ void RenderFarm::finish_if_complete(Job& job) {
 
 void RenderFarm::end_job(std::uint64_t frame) {
     scheduler_.remove_frame(frame);
-    for (const auto& [id, worker] : workers_) worker->end_frame(frame);
+    for (const auto& [id, worker] : workers_) {
+        worker->end_frame(frame);
+        let_go_if_done(*worker);
+    }
     const std::string scene = jobs_.at(frame)->scene.name;
     jobs_.erase(frame);
     sync_scene(scene);
@@ -391,7 +431,8 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
         out.modelled = state->report.modelled;
         out.left_out = state->report.left_out;
     }
-    for (const auto& [id, share] : job.shares) out.workers.push_back(share);
+    for (const auto& [id, share] : job.shares)
+        if (share.tiles > 0) out.workers.push_back(share);
     return out;
 }
 

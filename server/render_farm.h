@@ -61,6 +61,11 @@ public:
     /// Throws ProtocolError when the result does not fit its frame.
     void tile_result(WorkerSession& worker, const TileResult& result);
 
+    /// The worker gets no more tasks, and goes when it has answered those that it holds.
+    void retire(WorkerSession& worker);
+    /// The worker has answered a ping.
+    void round_trip(const WorkerSession& worker, double seconds);
+
     /// Closes all workers' connections and forgets all frames.
     void stop();
 
@@ -74,7 +79,9 @@ public:
 private:
     struct Job;
 
+    void let_go_if_done(WorkerSession& worker);
     void pump();
+    void pump_soon();
     void arm_timer();
     void sync_scene(const std::string& name);
     void sync_worker(WorkerSession& worker, const ReadyScene& scene);
@@ -102,6 +109,7 @@ private:
     std::set<std::string> doomed_;  ///< to be dropped once no frame needs them
     std::uint64_t last_frame_ = 0;
     std::uint64_t frames_done_ = 0;
+    bool pump_is_due_ = false;
     asio::steady_timer deadline_timer_;
     unsigned fold_threads_;
     asio::thread_pool pool_;

@@ -9,58 +9,126 @@
 namespace tessera {
 namespace {
 
-/// Weight of the newest task in the running mean of task times: the last five or so count.
-constexpr double newest_weight = 0.2;
+/// Weight of the newest task in running means: the last ten or so count.
+constexpr double newest_weight = 0.1;
+/// No task takes less, whatever a worker says.
+constexpr double least_task_seconds = 1e-6;
+/// Parts of a task's time after which what is known of all workers together is summed up again.
+constexpr double crew_refresh = 1.0 / 8;
+constexpr auto least_crew_refresh = std::chrono::microseconds(100);
 
 Duration seconds(double s) {
     return std::chrono::duration_cast<Duration>(std::chrono::duration<double>(s));
 }
 
+void update_mean(double& mean, double value) {
+    mean += (mean == 0 ? 1 : newest_weight) * (value - mean);
+}
+
 }  // namespace
 
+// ---- Workers ------------------------------------------------------------------------------------
+
 void Scheduler::add_worker(std::uint64_t worker, std::uint32_t threads) {
-    const bool added =
-        workers_.try_emplace(worker, Worker{threads, threads + config_.prefetch, 0, {}}).second;
-    CHECK(added);
+    Slot slot = Slot(workers_.size());
+    if (free_slots_.empty()) {
+        workers_.emplace_back();
+    } else {
+        slot = free_slots_.back();
+        free_slots_.pop_back();
+    }
+    CHECK(slots_.emplace(worker, slot).second);
+    const bool waiting = workers_[slot].waiting;  // the list may still name the slot
+    workers_[slot] = {.id = worker, .threads = threads, .limit = threads + config_.prefetch};
+    workers_[slot].waiting = waiting;
+    for (auto& [id, frame] : frames_)
+        if (slot < frame.answered.size()) frame.answered[slot] = false;
+    wait(slot);
 }
 
 void Scheduler::remove_worker(std::uint64_t worker) {
-    workers_.erase(worker);
-    for (auto& [id, frame] : frames_) take_back(frame, worker);
+    const auto found = slots_.find(worker);
+    if (found == slots_.end()) return;
+    end_leases_of(found->second, nullptr);
+    workers_[found->second].id = 0;
+    free_slots_.push_back(found->second);
+    slots_.erase(found);
+    crew_changed();
+}
+
+void Scheduler::retire(std::uint64_t worker) {
+    worker_of(worker).retired = true;
+    crew_changed();
 }
 
 void Scheduler::exclude(std::uint64_t worker, std::uint64_t frame) {
     Frame& f = frames_.at(frame);
     f.excluded.insert(worker);
-    for (const auto& [task, outstanding] : f.outstanding)
-        if (holds(outstanding, worker)) --workers_.at(worker).leases;
-    take_back(f, worker);
-}
-
-/// Forgets the worker's leases; what nobody else holds is handed out again.
-void Scheduler::take_back(Frame& frame, std::uint64_t worker) {
-    for (auto entry = frame.outstanding.begin(); entry != frame.outstanding.end();) {
-        auto& [task, outstanding] = *entry;
-        std::erase_if(outstanding.leases, [&](const Lease& l) { return l.worker == worker; });
-        queue_if_orphaned(frame, task, outstanding);
-        const bool over = outstanding.done && outstanding.leases.empty();
-        entry = over ? frame.outstanding.erase(entry) : std::next(entry);
-    }
+    end_leases_of(slots_.at(worker), &f);
+    crew_changed();
 }
 
 void Scheduler::scene_ready(std::uint64_t worker, const std::string& scene, std::uint64_t version) {
-    workers_.at(worker).scenes[scene] = version;
+    scene_gone(worker, scene);
+    worker_of(worker).scenes.emplace_back(scene, version);
 }
 
 void Scheduler::scene_gone(std::uint64_t worker, const std::string& scene) {
-    workers_.at(worker).scenes.erase(scene);
+    std::erase_if(worker_of(worker).scenes, [&](const auto& s) { return s.first == scene; });
+    crew_changed();
 }
+
+void Scheduler::round_trip(std::uint64_t worker, double seconds) {
+    Worker& w = worker_of(worker);
+    w.overdue = false;
+    update_mean(w.round_trip, seconds);
+    set_limit(slots_.at(worker));
+}
+
+/// How far a worker is ahead: as many tasks as it finishes in a round trip, which is a Poisson
+/// variable when tasks differ, so its mean and two deviations; and one.
+void Scheduler::set_limit(Slot worker) {
+    Worker& w = workers_[worker];
+    if (w.task_seconds > 0) {
+        const double finished =
+            std::min(w.threads * w.round_trip / w.task_seconds, double(config_.most_prefetch));
+        const double ahead = std::ceil(finished + 2 * std::sqrt(finished)) + 1;
+        w.limit = w.threads + std::min(std::uint32_t(ahead), config_.most_prefetch);
+    }
+    wait(worker);
+}
+
+void Scheduler::wait(Slot worker) {
+    Worker& w = workers_[worker];
+    if (w.waiting || w.leases >= w.limit) return;
+    w.waiting = true;
+    waiting_.push_back(worker);
+}
+
+WorkerPace Scheduler::pace(std::uint64_t worker) const {
+    const Worker& w = workers_[slots_.at(worker)];
+    return {.leases = w.leases,
+            .limit = w.limit,
+            .round_trip = w.round_trip,
+            .task_seconds = w.task_seconds,
+            .retired = w.retired,
+            .overdue = w.overdue};
+}
+
+std::uint32_t Scheduler::leases(std::uint64_t worker) const {
+    return workers_[slots_.at(worker)].leases;
+}
+
+// ---- Frames -------------------------------------------------------------------------------------
 
 void Scheduler::add_frame(const FrameSpec& spec, std::uint32_t run_limit) {
     Frame frame;
     frame.spec = spec;
     frame.runs = run_count(spec.settings);
     frame.run_limit = std::min(run_limit, frame.runs);
+    frame.costs = memory_.recall(spec);
+    frame.order = frame.costs.order();
+    frame.undone = std::uint64_t(frame.runs) * tile_count(spec.size);
     CHECK(frames_.emplace(spec.frame, std::move(frame)).second);
 }
 
@@ -71,55 +139,285 @@ void Scheduler::allow_runs(std::uint64_t frame, std::uint32_t run_limit) {
 
 void Scheduler::limit_runs(std::uint64_t frame, std::uint32_t runs) {
     Frame& f = frames_.at(frame);
+    const std::uint32_t tiles = tile_count(f.spec.size);
+    const std::uint32_t opened = f.first_open + std::uint32_t(f.open.size());
+    if (f.runs > std::max(runs, opened))
+        f.undone -= std::uint64_t(f.runs - std::max(runs, opened)) * tiles;
     f.runs = std::min(f.runs, runs);
     f.run_limit = std::min(f.run_limit, runs);
-    std::erase_if(f.outstanding, [&](const auto& entry) {
-        const bool unwanted = *run_of(f.spec, entry.first) >= runs;
-        if (unwanted) release_all(entry.second);
-        return unwanted;
-    });
+    while (!f.open.empty() && f.first_open + f.open.size() > runs) {
+        for (Task& task : f.open.back().tasks) {
+            if (!task.done) --f.undone;
+            end_leases(f, task);
+        }
+        f.open.pop_back();
+    }
 }
 
 void Scheduler::remove_frame(std::uint64_t frame) {
     const auto found = frames_.find(frame);
     if (found == frames_.end()) return;
-    for (const auto& [task, outstanding] : found->second.outstanding) release_all(outstanding);
+    Frame& f = found->second;
+    for (Run& run : f.open)
+        for (Task& task : run.tasks) end_leases(f, task);
+    memory_.keep(f.spec, f.costs);
     frames_.erase(found);
 }
 
-Answer Scheduler::completed(std::uint64_t worker, const TileTask& task, TimePoint now) {
-    const auto found = frames_.find(task.frame);
+bool Scheduler::ready(const Worker& worker, const Frame& frame) {
+    if (worker.id == 0 || worker.retired || frame.excluded.contains(worker.id)) return false;
+    return std::any_of(worker.scenes.begin(), worker.scenes.end(), [&](const auto& scene) {
+        return scene.second == frame.spec.version && scene.first == frame.spec.scene;
+    });
+}
+
+bool Scheduler::answered(const Frame& frame, Slot worker) {
+    return worker < frame.answered.size() && frame.answered[worker];
+}
+
+Scheduler::Task* Scheduler::find(Frame& frame, std::uint32_t run, std::uint32_t tile) {
+    if (run < frame.first_open || run - frame.first_open >= frame.open.size()) return nullptr;
+    return &frame.open[run - frame.first_open].tasks[tile];
+}
+
+Scheduler::Task& Scheduler::open_task(Frame& frame, std::uint32_t run, std::uint32_t tile) {
+    const std::uint32_t tiles = tile_count(frame.spec.size);
+    while (frame.first_open + frame.open.size() <= run)
+        frame.open.push_back({.tasks = std::vector<Task>(tiles), .unsettled = tiles});
+    return *find(frame, run, tile);
+}
+
+// ---- Leases -------------------------------------------------------------------------------------
+
+bool Scheduler::holds(const Task& task, Slot worker) const {
+    for (std::uint32_t l = task.leases; l != none; l = leases_[l].next)
+        if (leases_[l].worker == worker) return true;
+    return false;
+}
+
+/// Queues a task that nobody can be trusted to answer.
+void Scheduler::queue_if_orphaned(Frame& frame, const TileTask& name, Task& task) const {
+    if (task.done || task.queued) return;
+    for (std::uint32_t l = task.leases; l != none; l = leases_[l].next)
+        if (!leases_[l].expired) return;
+    task.queued = true;
+    frame.again.push_back(name);
+}
+
+void Scheduler::lease(Slot worker, Frame& frame, const TileTask& name, TimePoint now,
+                      std::vector<Assignment>& out) {
+    std::uint32_t index = std::uint32_t(leases_.size());
+    if (free_leases_.empty()) {
+        leases_.emplace_back();
+    } else {
+        index = free_leases_.back();
+        free_leases_.pop_back();
+    }
+    Worker& w = workers_[worker];
+    Lease& lease = leases_[index];
+    const float cost = frame.costs.predicted(name.tile);
+    lease = {.worker = worker,
+             .next = none,
+             .task = name,
+             .run = *run_of(frame.spec, name),
+             .cost = cost,
+             .ahead = float(w.work_held / w.threads) + cost,
+             .expired = false,
+             .issued = now};
+    ++w.leases;
+    w.work_held += cost;
+
+    // Append it to those of the task.
+    Task& task = open_task(frame, lease.run, name.tile);
+    if (task.handed_out) ++frame.reissued;
+    task.handed_out = true;
+    std::uint32_t* link = &task.leases;
+    while (*link != none) link = &leases_[*link].next;
+    *link = index;
+    next_expiry_ = std::min(next_expiry_, now + lease_time(lease, frame));
+    out.push_back({w.id, name});
+}
+
+void Scheduler::end_lease(Frame& frame, Task& task, std::uint32_t index) {
+    Lease& lease = leases_[index];
+    std::uint32_t* link = &task.leases;
+    while (*link != index) link = &leases_[*link].next;
+    *link = lease.next;
+
+    Worker& w = workers_[lease.worker];
+    --w.leases;
+    w.work_held = w.leases == 0 ? 0 : std::max(0.0, w.work_held - lease.cost);
+    if (w.id != 0) wait(lease.worker);
+    lease.worker = none;
+    free_leases_.push_back(index);
+
+    // Forget runs of which nothing more can come.
+    if (!task.done || task.leases != none) return;
+    --frame.open[lease.run - frame.first_open].unsettled;
+}
+
+void Scheduler::end_leases(Frame& frame, Task& task) {
+    while (task.leases != none) end_lease(frame, task, task.leases);
+}
+
+/// Forgets the worker's leases; what nobody else holds is handed out again.
+void Scheduler::end_leases_of(Slot worker, const Frame* only) {
+    for (std::uint32_t l = 0; l < leases_.size(); ++l) {
+        if (leases_[l].worker != worker || (only && only->spec.frame != leases_[l].task.frame))
+            continue;
+        const TileTask name = leases_[l].task;
+        Frame& frame = frames_.at(name.frame);
+        Task& task = *find(frame, leases_[l].run, name.tile);
+        end_lease(frame, task, l);
+        queue_if_orphaned(frame, name, task);
+    }
+}
+
+void Scheduler::expire(TimePoint now) {
+    if (now < next_expiry_) return;
+    next_expiry_ = TimePoint::max();
+    for (Lease& lease : leases_) {
+        if (lease.worker == none || lease.expired) continue;
+        Frame& frame = frames_.at(lease.task.frame);
+        const TimePoint deadline = lease.issued + lease_time(lease, frame);
+        if (now < deadline) {
+            next_expiry_ = std::min(next_expiry_, deadline);
+            continue;
+        }
+        lease.expired = true;
+        workers_[lease.worker].overdue = true;
+        crew_changed();
+        queue_if_orphaned(frame, lease.task, *find(frame, lease.run, lease.task.tile));
+    }
+}
+
+Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoint now,
+                            std::optional<double> render_seconds) {
+    const auto slot = slots_.find(worker);
+    if (slot == slots_.end()) return Answer::unknown;
+    workers_[slot->second].overdue = false;
+    const auto found = frames_.find(name.frame);
     if (found == frames_.end()) return Answer::unknown;
     Frame& frame = found->second;
-    const auto entry = frame.outstanding.find(task);
-    if (entry == frame.outstanding.end()) return Answer::unknown;
-    std::vector<Lease>& leases = entry->second.leases;
-    const auto lease = std::find_if(leases.begin(), leases.end(),
-                                    [&](const Lease& l) { return l.worker == worker; });
-    if (lease == leases.end()) return Answer::unknown;
+    const std::optional<std::uint32_t> run = run_of(frame.spec, name);
+    Task* task = run ? find(frame, *run, name.tile) : nullptr;
+    if (!task) return Answer::unknown;
+    std::uint32_t index = task->leases;
+    while (index != none && leases_[index].worker != slot->second) index = leases_[index].next;
+    if (index == none) return Answer::unknown;
 
-    const double took = std::chrono::duration<double>(now - lease->issued).count();
-    frame.task_seconds +=
-        (frame.task_seconds == 0 ? 1 : newest_weight) * (took - frame.task_seconds);
-    leases.erase(lease);
-    --workers_.at(worker).leases;
-    const Answer answer = entry->second.done ? Answer::duplicate : Answer::first;
-    entry->second.done = true;
-    if (leases.empty()) frame.outstanding.erase(entry);
+    learn(slot->second, frame, leases_[index], now, render_seconds);
+    const Answer answer = task->done ? Answer::duplicate : Answer::first;
+    if (!task->done) --frame.undone;
+    task->done = true;
+    end_lease(frame, *task, index);
+    while (!frame.open.empty() && frame.open.front().unsettled == 0) {
+        frame.open.pop_front();
+        ++frame.first_open;
+    }
     return answer;
 }
+
+// ---- Paces --------------------------------------------------------------------------------------
+
+void Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
+                      std::optional<double> render_seconds) {
+    Worker& w = workers_[worker];
+    const double took = std::chrono::duration<double>(now - lease.issued).count();
+    update_mean(frame.task_seconds, took);
+    const double spent = std::min(render_seconds ? std::max(*render_seconds, least_task_seconds)
+                                                 : took * lease.cost / lease.ahead,
+                                  took);
+    if (spent > 0) {
+        const bool known = w.task_seconds > 0;
+        update_mean(w.task_seconds, spent / lease.cost);
+        frame.costs.measure(lease.task.tile, float(spent / (known ? w.task_seconds : spent)));
+    }
+    // What a task took that found an idle thread and was not rendering is a round trip; the first
+    // task of a frame may have waited for preparations.
+    const bool found_idle_thread = lease.ahead <= lease.cost * 1.001f;
+    if (render_seconds && found_idle_thread && answered(frame, worker))
+        update_mean(w.round_trip, took - spent);
+    if (!answered(frame, worker)) {
+        frame.answered.resize(std::max<std::size_t>(frame.answered.size(), worker + 1));
+        frame.answered[worker] = true;
+        next_expiry_ = now;  // now we know better how long its leases may last
+    }
+    set_limit(worker);
+}
+
+/// Handing out to answer when its thread has to do `ahead` up to then; 0: not known.
+double Scheduler::seconds_for(const Worker& worker, double ahead) {
+    return worker.task_seconds > 0 ? worker.round_trip + worker.task_seconds * ahead : 0;
+}
+
+double Scheduler::expected_seconds(const Lease& lease, const Frame& frame) const {
+    const double own = seconds_for(workers_[lease.worker], lease.ahead);
+    return own > 0 && answered(frame, lease.worker) ? own : std::max(own, frame.task_seconds);
+}
+
+Duration Scheduler::lease_time(const Lease& lease, const Frame& frame) const {
+    return std::max(answered(frame, lease.worker) ? config_.shortest_lease : config_.first_lease,
+                    seconds(config_.patience * expected_seconds(lease, frame)));
+}
+
+void Scheduler::crew_changed() {
+    for (auto& [id, frame] : frames_) frame.crew.valid_until = {};
+}
+
+void Scheduler::measure_crew(Frame& frame, TimePoint now) const {
+    if (now < frame.crew.valid_until) return;
+    Crew crew;
+    double threads = 0, threads_round_trips = 0;
+    for (const Worker& w : workers_) {
+        if (w.task_seconds == 0 || w.overdue || !ready(w, frame)) continue;
+        const double speed = w.threads / w.task_seconds;
+        crew.speed += speed;
+        threads += w.threads;
+        threads_round_trips += speed * w.round_trip;
+    }
+    if (crew.speed > 0) crew.task_seconds = (threads + threads_round_trips) / crew.speed;
+    crew.valid_until =
+        now + std::max<Duration>(least_crew_refresh, seconds(crew_refresh * crew.task_seconds));
+    frame.crew = crew;
+}
+
+/// Whether the worker would finish a task before the others could finish the frame without it,
+/// give or take a task. Holds for at least one of those that count in the crew once it is idle.
+bool Scheduler::in_time(const Worker& worker, const Frame& frame, double cost) {
+    if (frame.crew.speed == 0) return true;
+    if (worker.overdue) return false;
+    const double ahead = worker.work_held / worker.threads + std::min(cost, 1.0);
+    return seconds_for(worker, ahead) <=
+           (double(frame.undone) / frame.crew.speed + frame.crew.task_seconds) * 1.000001;
+}
+
+// ---- Handing out --------------------------------------------------------------------------------
 
 std::vector<Assignment> Scheduler::assign(TimePoint now) {
     expire(now);
     next_late_ = TimePoint::max();
-    // One task for each worker in turn, so that a few tasks spread over many workers.
     std::vector<Assignment> out;
-    std::size_t before;
-    do {
-        before = out.size();
-        for (const auto& [id, worker] : workers_)
-            if (const auto assignment = next_for(id, now)) out.push_back(*assignment);
-    } while (out.size() > before);
+    const auto work_is_left = [&] {
+        return std::any_of(frames_.begin(), frames_.end(),
+                           [](const auto& entry) { return has_work(entry.second); });
+    };
+    // One task for each worker in turn, so that a few tasks spread over many workers.
+    bool handed_out = true;
+    while (handed_out && work_is_left()) {
+        handed_out = false;
+        std::size_t kept = 0;
+        for (std::size_t i = 0; i < waiting_.size(); ++i) {
+            const Slot slot = waiting_[i];
+            Worker& w = workers_[slot];
+            w.waiting = w.id != 0 && !w.retired && w.leases < w.limit;
+            if (!w.waiting) continue;
+            waiting_[kept++] = slot;
+            if (hand_out_in_turn(slot, now, out)) handed_out = true;
+        }
+        waiting_.resize(kept);
+    }
+    for (auto& [id, frame] : frames_) double_late(frame, now, out);
     return out;
 }
 
@@ -128,126 +426,120 @@ std::optional<TimePoint> Scheduler::next_deadline() const {
     return next == TimePoint::max() ? std::nullopt : std::optional(next);
 }
 
-bool Scheduler::ready(std::uint64_t worker, const Frame& frame) const {
-    const auto& scenes = workers_.at(worker).scenes;
-    const auto scene = scenes.find(frame.spec.scene);
-    return scene != scenes.end() && scene->second == frame.spec.version &&
-           !frame.excluded.contains(worker);
+bool Scheduler::has_work(const Frame& frame) {
+    return !frame.again.empty() || frame.next_run < frame.run_limit;
 }
 
-bool Scheduler::holds(const Outstanding& outstanding, std::uint64_t worker) {
-    return std::any_of(outstanding.leases.begin(), outstanding.leases.end(),
-                       [&](const Lease& l) { return l.worker == worker; });
+/// Offers the worker's turn to each frame it can render, beginning after the one served last.
+bool Scheduler::hand_out_in_turn(Slot worker, TimePoint now, std::vector<Assignment>& out) {
+    auto entry = frames_.upper_bound(last_frame_);
+    for (std::size_t i = 0; i < frames_.size(); ++i, ++entry) {
+        if (entry == frames_.end()) entry = frames_.begin();
+        Frame& frame = entry->second;
+        if (!has_work(frame) || !ready(workers_[worker], frame)) continue;
+        measure_crew(frame, now);
+        std::optional<TileTask> task = lost_task_for(worker, frame);
+        if (!task) task = new_task_for(worker, frame);
+        if (!task) {
+            // It may look different when the crew is measured again.
+            next_late_ = std::min(next_late_, frame.crew.valid_until);
+            continue;
+        }
+        last_frame_ = entry->first;
+        lease(worker, frame, *task, now, out);
+        return true;
+    }
+    return false;
 }
 
-/// Queues a task that nobody can be trusted to answer.
-void Scheduler::queue_if_orphaned(Frame& frame, const TileTask& task, Outstanding& outstanding) {
-    const bool trusted = std::any_of(outstanding.leases.begin(), outstanding.leases.end(),
-                                     [](const Lease& l) { return !l.expired; });
-    if (trusted || outstanding.done || outstanding.queued) return;
-    outstanding.queued = true;
-    frame.again.push_back(task);
+std::optional<TileTask> Scheduler::lost_task_for(Slot worker, Frame& frame) {
+    for (auto name = frame.again.begin(); name != frame.again.end();) {
+        Task* task = find(frame, *run_of(frame.spec, *name), name->tile);
+        if (!task || task->done) {
+            name = frame.again.erase(name);
+        } else if (holds(*task, worker) ||
+                   !in_time(workers_[worker], frame, frame.costs.predicted(name->tile))) {
+            ++name;
+        } else {
+            const TileTask found = *name;
+            task->queued = false;
+            frame.again.erase(name);
+            return found;
+        }
+    }
+    return std::nullopt;
 }
 
-std::optional<TileTask> Scheduler::lost_task_for(std::uint64_t worker, Frame& frame) {
-    std::erase_if(frame.again, [&](const TileTask& task) {
-        const auto entry = frame.outstanding.find(task);
-        return entry == frame.outstanding.end() || entry->second.done;
-    });
-    const auto task = std::find_if(frame.again.begin(), frame.again.end(), [&](const TileTask& t) {
-        return !holds(frame.outstanding.at(t), worker);
-    });
-    if (task == frame.again.end()) return std::nullopt;
-    const TileTask found = *task;
-    frame.again.erase(task);
-    frame.outstanding.at(found).queued = false;
-    return found;
-}
-
-std::optional<TileTask> Scheduler::new_task(Frame& frame) {
+std::optional<TileTask> Scheduler::new_task_for(Slot worker, Frame& frame) {
     if (frame.next_run >= frame.run_limit) return std::nullopt;
-    const TileTask task = task_of(frame.spec, frame.next_run, frame.next_tile);
-    if (++frame.next_tile == tile_count(frame.spec.size)) {
-        frame.next_tile = 0;
+    const std::uint32_t tile = frame.order[frame.next_index];
+    if (!in_time(workers_[worker], frame, frame.costs.predicted(tile))) return std::nullopt;
+    const TileTask task = task_of(frame.spec, frame.next_run, tile);
+    if (++frame.next_index == frame.order.size()) {
+        frame.next_index = 0;
         ++frame.next_run;
     }
     return task;
 }
 
-/// The task that has been out for longest, if that is long enough for another worker to try it.
-std::optional<TileTask> Scheduler::late_task_for(std::uint64_t worker, const Frame& frame,
-                                                 TimePoint now) {
-    if (frame.task_seconds == 0) return std::nullopt;
-    std::optional<TileTask> oldest;
-    TimePoint issued = TimePoint::max();
-    for (const auto& [task, outstanding] : frame.outstanding) {
-        if (outstanding.done || outstanding.leases.empty() ||
-            outstanding.leases.size() >= config_.most_copies || holds(outstanding, worker))
-            continue;
-        if (outstanding.leases.front().issued >= issued) continue;
-        issued = outstanding.leases.front().issued;
-        oldest = task;
+/// Gives idle hands what is late, and then what would take longest where it is.
+void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>& out) {
+    if (frame.task_seconds == 0 || waiting_.empty()) return;
+    const auto idle = [&](Slot slot) {
+        const Worker& w = workers_[slot];
+        return w.leases < w.threads && ready(w, frame) && (!w.overdue || frame.crew.speed == 0);
+    };
+    if (std::none_of(waiting_.begin(), waiting_.end(), idle)) return;
+    if (now < frame.next_search) {
+        next_late_ = std::min(next_late_, frame.next_search);
+        return;
     }
-    if (!oldest) return std::nullopt;
-    const TimePoint late = issued + seconds(config_.late * frame.task_seconds);
-    if (late <= now) return oldest;
-    next_late_ = std::min(next_late_, late);
-    return std::nullopt;
-}
+    frame.next_search = now + seconds(crew_refresh * frame.task_seconds);
 
-/// Offers the worker's turn to each frame it can render, beginning after the one served last.
-template <class Choose>
-std::optional<Assignment> Scheduler::in_turn(std::uint64_t worker, TimePoint now,
-                                             const Choose& choose) {
-    auto frame = frames_.upper_bound(last_frame_);
-    for (std::size_t i = 0; i < frames_.size(); ++i, ++frame) {
-        if (frame == frames_.end()) frame = frames_.begin();
-        if (!ready(worker, frame->second)) continue;
-        const std::optional<TileTask> task = choose(frame->second);
-        if (!task) continue;
-        last_frame_ = frame->first;
-        lease(worker, frame->second, *task, now);
-        return Assignment{worker, *task};
+    // Find what is late, and what is not yet with the time at which it should be done.
+    struct Candidate {
+        TimePoint at;
+        TileTask name;
+    };
+    std::vector<Candidate> late, slow;
+    for (const Lease& l : leases_) {
+        if (l.worker == none || l.task.frame != frame.spec.frame) continue;
+        const Task& task = *find(frame, l.run, l.task.tile);
+        std::size_t copies = 0;
+        for (std::uint32_t i = task.leases; i != none; i = leases_[i].next) ++copies;
+        if (task.done || copies >= config_.most_copies || &leases_[task.leases] != &l) continue;
+        const double expected = expected_seconds(l, frame);
+        const TimePoint late_at = l.issued + seconds(config_.late * expected);
+        if (late_at > now) next_late_ = std::min(next_late_, late_at);
+        if (late_at <= now)
+            late.push_back({l.issued, l.task});
+        else
+            slow.push_back({l.issued + seconds(expected), l.task});
     }
-    return std::nullopt;
-}
+    std::sort(late.begin(), late.end(), [](auto& a, auto& b) { return a.at > b.at; });
+    std::sort(slow.begin(), slow.end(), [](auto& a, auto& b) { return a.at < b.at; });
 
-std::optional<Assignment> Scheduler::next_for(std::uint64_t worker, TimePoint now) {
-    const Worker& w = workers_.at(worker);
-    if (w.leases >= w.limit) return std::nullopt;
-    const auto undone = in_turn(worker, now, [&](Frame& frame) {
-        const auto lost = lost_task_for(worker, frame);
-        return lost ? lost : new_task(frame);
-    });
-    if (undone || w.leases >= w.threads) return undone;
-    return in_turn(worker, now, [&](Frame& frame) { return late_task_for(worker, frame, now); });
-}
-
-void Scheduler::lease(std::uint64_t worker, Frame& frame, const TileTask& task, TimePoint now) {
-    const auto [entry, fresh] = frame.outstanding.try_emplace(task);
-    if (!fresh) ++frame.reissued;
-    const Duration time =
-        std::max(config_.shortest_lease, seconds(config_.patience * frame.task_seconds));
-    entry->second.leases.push_back({worker, now, now + time});
-    next_expiry_ = std::min(next_expiry_, now + time);
-    ++workers_.at(worker).leases;
-}
-
-void Scheduler::release_all(const Outstanding& outstanding) {
-    for (const Lease& lease : outstanding.leases) --workers_.at(lease.worker).leases;
-}
-
-void Scheduler::expire(TimePoint now) {
-    if (now < next_expiry_) return;
-    next_expiry_ = TimePoint::max();
-    for (auto& [id, frame] : frames_)
-        for (auto& [task, outstanding] : frame.outstanding) {
-            for (Lease& lease : outstanding.leases) {
-                lease.expired = lease.expired || lease.deadline <= now;
-                if (!lease.expired) next_expiry_ = std::min(next_expiry_, lease.deadline);
-            }
-            queue_if_orphaned(frame, task, outstanding);
+    // Give each idle worker the oldest of the late ones, or the one that is to take longest.
+    const auto give = [&](Slot slot, std::vector<Candidate>& from) {
+        for (std::size_t i = from.size(); i-- > 0;) {
+            const TileTask name = from[i].name;
+            if (holds(*find(frame, *run_of(frame.spec, name), name.tile), slot)) continue;
+            from.erase(from.begin() + std::ptrdiff_t(i));
+            lease(slot, frame, name, now, out);
+            return true;
         }
+        return false;
+    };
+    for (const Slot slot : waiting_) {
+        while (idle(slot) && give(slot, late)) {
+        }
+        while (idle(slot) && !slow.empty()) {
+            const Worker& w = workers_[slot];
+            const double own = seconds_for(w, frame.costs.predicted(slow.back().name.tile));
+            const double left = std::chrono::duration<double>(slow.back().at - now).count();
+            if (own == 0 || own > config_.faster * left || !give(slot, slow)) break;
+        }
+    }
 }
 
 }  // namespace tessera

@@ -6,6 +6,7 @@
 
 #include "common/check.h"
 #include "common/log.h"
+#include "common/process.h"
 
 namespace tessera {
 namespace {
@@ -102,6 +103,7 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
             "--keys FOLDER/server, or listen on 127.0.0.1",
             config.listen));
     listen_on(acceptor_, endpoint);
+    if (!config.metrics.empty()) metrics_.emplace(io, config.metrics, [this] { return status(); });
 }
 
 void Server::add_scene(const std::string& name, const SceneBundle& bundle) {
@@ -115,6 +117,7 @@ void Server::start() { asio::co_spawn(io_, accept_peers(), asio::detached); }
 void Server::stop() {
     error_code ignored;
     acceptor_.close(ignored);
+    if (metrics_) metrics_->stop();
     farm_.stop();
     for (const auto& [id, connection] : connections_) connection->close();
 }
@@ -231,7 +234,8 @@ Status Server::status() const {
                .frames_in_flight = farm_.frames_in_flight(),
                .frames_done = farm_.frames_done(),
                .scenes = {},
-               .workers = farm_.worker_status()};
+               .workers = farm_.worker_status(),
+               .memory_bytes = resident_bytes()};
     for (const ScenePtr& scene : scenes_.all())
         out.scenes.push_back({.name = scene->now.name,
                               .version = scene->now.scene->version,

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "common/keys.h"
+#include "server/metrics_endpoint.h"
 #include "server/render_farm.h"
 #include "server/scene_store.h"
 #include "server/viewer_session.h"
@@ -25,6 +26,7 @@ struct ServerConfig {
     /// Without keys what peers must prove to know; empty: anybody may come in.
     std::string token;
     unsigned fold_threads = 2;
+    std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
     std::size_t most_sessions = 1024;  ///< workers and viewers together
     std::size_t most_strangers = 64;   ///< connections before their handshake is over
     std::chrono::milliseconds handshake_deadline{5000};
@@ -62,6 +64,7 @@ private:
     std::chrono::steady_clock::time_point started_;
     SceneStore scenes_;
     RenderFarm farm_;
+    std::optional<MetricsEndpoint> metrics_;
     std::uint64_t last_peer_ = 0;
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;  ///< all that are open
     std::size_t strangers_ = 0;

@@ -38,7 +38,11 @@ asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
     asio::co_spawn(
         connection_->executor(), [self] { return self->keep_pinging(); }, asio::detached);
     farm.add_worker(self);
-    for (;;) handle(co_await connection_->receive(longest_silence), farm);
+    for (;;) {
+        handle(co_await connection_->receive(longest_silence), farm);
+        while (std::optional<Message> more = connection_->receive_now())
+            handle(std::move(*more), farm);
+    }
 }
 
 void WorkerSession::leave(RenderFarm& farm) {
@@ -63,9 +67,19 @@ void WorkerSession::handle(Message message, RenderFarm& farm) {
     else if (const auto* ping = message.get<Ping>())
         connection_->send({Pong{ping->stamp}, {}});
     else if (const auto* pong = message.get<Pong>())
-        round_trip_seconds_ = 1e-9 * double(now_nanoseconds() - pong->stamp);
+        ponged(*pong, farm);
+    else if (message.get<Leave>())
+        farm.retire(*this);
     else
         throw ProtocolError("sends a message that is not for workers to send");
+}
+
+void WorkerSession::ponged(const Pong& pong, RenderFarm& farm) {
+    const std::uint64_t now = now_nanoseconds();
+    if (pong.stamp > now) throw ProtocolError("answers a ping that was never sent");
+    round_trip_seconds_ = 1e-9 * double(now - pong.stamp);
+    memory_bytes_ = pong.memory_bytes;
+    farm.round_trip(*this, round_trip_seconds_);
 }
 
 void WorkerSession::send_blobs_of(const BlobRequest& request) {

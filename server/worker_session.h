@@ -47,12 +47,14 @@ public:
     std::uint32_t threads() const { return threads_; }
     const std::string& address() const { return connection_->remote_address(); }
     double round_trip_seconds() const { return round_trip_seconds_; }
+    std::uint64_t memory_bytes() const { return memory_bytes_; }
 
     std::uint64_t tiles = 0;  ///< results used
     std::uint64_t rays = 0;
 
 private:
     void handle(Message message, RenderFarm& farm);
+    void ponged(const Pong& pong, RenderFarm& farm);
     void send_blobs_of(const BlobRequest& request);
     void became_ready(const SceneReady& ready, RenderFarm& farm);
     void failed(const Failure& failure, RenderFarm& farm);
@@ -66,6 +68,7 @@ private:
     std::deque<std::string> unanswered_;  ///< scenes of updates sent, oldest first
     std::set<std::uint64_t> frames_;      ///< begun on the worker
     double round_trip_seconds_ = 0;
+    std::uint64_t memory_bytes_ = 0;
     asio::steady_timer ping_timer_;
 };
 

@@ -270,7 +270,11 @@ private:
                 .leases = number(),
                 .tiles = big(),
                 .rays = big(),
-                .round_trip_seconds = amount()};
+                .round_trip_seconds = amount(),
+                .prefetch = number(),
+                .task_seconds = amount(),
+                .memory_bytes = big(),
+                .overdue = below(2) == 1};
     }
     SceneStatus make_one(SceneStatus) {
         return {.name = name(), .version = big(), .instances = big(), .bytes = big()};
@@ -282,10 +286,12 @@ private:
                 .frames_in_flight = number(),
                 .frames_done = big(),
                 .scenes = list<SceneStatus>(),
-                .workers = list<WorkerStatus>()};
+                .workers = list<WorkerStatus>(),
+                .memory_bytes = big()};
     }
     Ping make_one(Ping) { return {.stamp = big()}; }
-    Pong make_one(Pong) { return {.stamp = big()}; }
+    Pong make_one(Pong) { return {.stamp = big(), .memory_bytes = big()}; }
+    Leave make_one(Leave) { return {}; }
 
     mat4 transform() { return make_one(Instance{}).world_from_object; }
     std::optional<vec3> maybe_vector() { return coin() ? std::optional(vector()) : std::nullopt; }

@@ -79,8 +79,9 @@ asio::awaitable<bool> closes(std::shared_ptr<Connection> connection) {
 }
 
 struct WorkerScript {
-    int dies_after = -1;  ///< answers, then the connection closes
-    int ignores = 0;      ///< tasks at the beginning
+    int dies_after = -1;    ///< answers, then the connection closes
+    int ignores = 0;        ///< tasks at the beginning
+    int leaves_after = -1;  ///< answers; goes on with what it has
     bool answers_twice = false;
     bool answers_wrong = false;     ///< with a tile of the wrong size
     std::string cannot_build = {};  ///< reason
@@ -119,7 +120,7 @@ asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
         if (script.answers_wrong) result.data.pop_back();
         if (script.answers_twice) connection->send_bulk({result, {}});
         connection->send_bulk({std::move(result), {}});
-        ++answers;
+        if (++answers == script.leaves_after) connection->send({Leave{}, {}});
     }
     co_await connection->close_when_sent();
 }
@@ -403,6 +404,21 @@ TEST(Server, the_path_integrator_adds_up_runs_of_passes) {
     request.spec.settings.integrator = Integrator::path;
     request.spec.settings.passes = 100;
     expect_exact(render_with({{}}, request), request.spec);
+}
+
+TEST(Server, a_worker_that_leaves_does_not_change_a_bit) {
+    expect_exact(render_with({{.leaves_after = 3}, {.leaves_after = 1}, {}}), small_request().spec);
+}
+
+TEST(Server, metrics_name_every_worker) {
+    Status status;
+    status.frames_done = 7;
+    status.workers = {{.peer = 3, .name = "a \"b\"", .address = {}, .tiles = 5}};
+    const std::string text = metrics_text(status);
+    EXPECT_NE(text.find("tessera_frames_done_total 7\n"), std::string::npos) << text;
+    EXPECT_NE(text.find("tessera_worker_tiles_total{peer=\"3\",worker=\"a \\\"b\\\"\"} 5\n"),
+              std::string::npos)
+        << text;
 }
 
 TEST(Server, dying_workers_do_not_change_a_bit) {

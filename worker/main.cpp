@@ -69,16 +69,22 @@ WorkerConfig config_of(const Options& options) {
     return config;
 }
 
+/// A worker that is asked to stop has this long for what it has begun; others do the rest.
+constexpr auto leave_deadline = std::chrono::seconds(5);
+
 /// Serves until a signal ends it or the worker gives up, which throws.
 void serve(const WorkerConfig& config) {
     asio::io_context io(1);
     Worker worker(config);
     asio::signal_set signals(io, SIGINT, SIGTERM);
+    asio::steady_timer patience(io);
     signals.async_wait([&](const boost::system::error_code& error, int) {
         if (error) return;
-        spdlog::info("stops");
+        spdlog::info("finishes the tiles it has been handed, then stops");
         signals.clear();  // a second signal ends the process at once
-        io.stop();
+        if (!worker.leave()) return io.stop();
+        patience.expires_after(leave_deadline);
+        patience.async_wait([&](const boost::system::error_code&) { io.stop(); });
     });
     std::exception_ptr failure;
     asio::co_spawn(io, worker.run(), [&](std::exception_ptr error) {

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "common/log.h"
+#include "common/process.h"
 
 namespace tessera {
 namespace {
@@ -46,7 +47,10 @@ Session::~Session() {
 }
 
 asio::awaitable<void> Session::run() {
-    for (;;) handle(co_await connection_->receive());
+    for (;;) {
+        handle(co_await connection_->receive());
+        while (const std::optional<Message> more = connection_->receive_now()) handle(*more);
+    }
 }
 
 void Session::handle(const Message& message) {
@@ -238,7 +242,9 @@ void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) 
         });
 }
 
-void Session::on(const Ping& ping) { connection_->send({Pong{ping.stamp}, {}}); }
+void Session::on(const Ping& ping) {
+    connection_->send({Pong{.stamp = ping.stamp, .memory_bytes = resident_bytes()}, {}});
+}
 
 void Session::fail(std::uint64_t frame, const std::string& reason) {
     spdlog::warn("{}", reason);

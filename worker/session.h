@@ -39,6 +39,8 @@ public:
 
     /// Serves until the connection ends; throws what Connection::receive throws.
     asio::awaitable<void> run();
+    /// Asks the server for no more work and to end the session after what it has.
+    void leave() { connection_->send({Leave{}, {}}); }
 
 private:
     struct BuiltVersion {

@@ -52,7 +52,16 @@ asio::awaitable<void> Worker::serve() {
     co_await shake_hands(*connection, config_);
     failures_ = 0;
     const auto session = std::make_shared<Session>(connection, pools_, config_.threads);
+    session_ = session;
+    if (leaving_) session->leave();
     co_await session->run();
+}
+
+bool Worker::leave() {
+    leaving_ = true;
+    const auto session = session_.lock();
+    if (session) session->leave();
+    return session != nullptr;
 }
 
 asio::awaitable<void> Worker::run() {
@@ -72,6 +81,7 @@ asio::awaitable<void> Worker::run() {
         } catch (const boost::system::system_error& error) {
             problem = fmt::format("{} is lost: {}", server, error.code().message());
         }
+        if (leaving_) co_return;
         ++failures_;
         if (config_.attempts && failures_ >= *config_.attempts)
             throw UserError(fmt::format("{}; gave up after {} attempts", problem, failures_));

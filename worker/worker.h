@@ -27,16 +27,21 @@ class Worker {
 public:
     explicit Worker(const WorkerConfig& config) : config_(config), pools_(config.threads) {}
 
-    /// Serves for ever, to be ended by stopping its io_context; the threads end with the Worker,
-    /// which must go before the io_context. Throws UserError when the server refuses this worker
-    /// or the attempts are used up.
+    /// Serves until it leaves, or is ended by stopping its io_context; the threads end with the
+    /// Worker, which must go before the io_context. Throws UserError when the server refuses this
+    /// worker or the attempts are used up.
     asio::awaitable<void> run();
+    /// Finishes what it has been handed, then `run` returns. Returns false when there is nothing to
+    /// finish, because it is not connected.
+    bool leave();
 
 private:
     asio::awaitable<void> serve();
 
     WorkerConfig config_;
     WorkerPools pools_;
+    bool leaving_ = false;
+    std::weak_ptr<Session> session_;
     unsigned failures_ = 0;  ///< attempts to connect that have failed in a row
 };
 

@@ -1,0 +1,64 @@
+// What a cluster does under load: frames, latencies, the server's CPU time, recovery from faults,
+// and whether every pixel is right.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "client/interrupt.h"
+#include "client/local_cluster.h"
+#include "common/scene.h"
+#include "common/tile.h"
+
+namespace tessera {
+
+struct ClusterBenchConfig {
+    int workers = 1;
+    int threads = 1;  ///< render threads of each worker
+    bool synthetic = false;
+    double tile_seconds = 0;  ///< of synthetic workers
+    double spread = 0.5;
+    int viewers = 1;
+    unsigned in_flight = 1;  ///< frames that a viewer has asked for at a time
+    double seconds = 5;
+    std::vector<double> kills;  ///< seconds after which a worker is killed
+    std::vector<double> hangs;  ///< and after which one hangs
+    FrameSpec spec;             ///< scene, size and settings
+    std::vector<Camera> path;   ///< views in turn
+};
+
+struct Percentiles {
+    double p50 = 0, p95 = 0, p99 = 0, max = 0;
+};
+Percentiles percentiles(std::vector<double> values);
+
+struct FaultReport {
+    std::string kind;  ///< kill or hang
+    double at = 0;     ///< seconds
+    /// By how much the slowest frame that was on its way took longer than frames did before.
+    double recovery = 0;
+};
+
+struct ClusterBenchRow {
+    ClusterBenchConfig config;
+    double seconds = 0;
+    std::uint64_t frames = 0;
+    double frames_per_s = 0;
+    double tiles_per_s = 0;
+    std::optional<double> ideal_tiles_per_s;  ///< of synthetic workers that never wait
+    Percentiles first, final;
+    double server_cpu_s_per_tile = 0;
+    double bytes_to_viewer = 0;     ///< per frame, of one viewer
+    double bytes_from_workers = 0;  ///< per frame; of real workers, pixels only
+    std::optional<double> bytes_to_workers;
+    std::uint64_t wrong_pixels = 0;
+    std::vector<FaultReport> faults;
+    bool interrupted = false;  ///< by the user; the rest is about the time up to then
+};
+
+/// Starts a server and workers on this machine and loads them. Throws UserError.
+ClusterBenchRow bench_cluster(const ClusterBenchConfig& config, const SceneBundle& bundle,
+                              Interrupt& interrupt);
+
+}  // namespace tessera

@@ -1,0 +1,253 @@
+// tessera bench cluster: loads servers of several sizes, prints a table, writes JSON and CSV.
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "client/camera_options.h"
+#include "client/cluster_bench.h"
+#include "client/commands.h"
+#include "common/check.h"
+#include "common/scene_bounds.h"
+#include "common/scene_io.h"
+
+namespace tessera {
+namespace {
+
+struct ClusterOptions {
+    std::string scene = "cornell";
+    ClusterBenchConfig config;
+    CameraOptions camera;
+    std::vector<int> workers{1, 2};
+    std::vector<int> viewers{1};
+    double tile_ms = 0;
+    std::optional<Integrator> integrator;
+    std::optional<std::uint32_t> passes;
+    int views = 4;
+    std::string json, csv;
+    bool simulate = false;
+};
+
+/// Steps to the side, each a fiftieth of the distance to what the camera looks at.
+std::vector<Camera> walk(const Camera& camera, int views) {
+    const vec3 step = 0.02f * glm::cross(camera.at - camera.eye, glm::normalize(camera.up));
+    std::vector<Camera> path;
+    for (int i = 0; i < views; ++i) {
+        path.push_back(camera);
+        path.back().eye += float(i) * step;
+        path.back().at += float(i) * step;
+    }
+    return path;
+}
+
+/// Against synthetic workers that never wait; of real ones, against as many times the first row.
+std::optional<double> efficiency(const ClusterBenchRow& row, const ClusterBenchRow& first) {
+    if (row.ideal_tiles_per_s) return row.tiles_per_s / *row.ideal_tiles_per_s;
+    if (row.config.synthetic || first.tiles_per_s == 0) return {};
+    return row.tiles_per_s * first.config.workers / (first.tiles_per_s * row.config.workers);
+}
+
+void print_header(const ClusterOptions& options, const FrameSpec& spec) {
+    fmt::print("{} at {}x{}, {} {} passes, {} workers of {} thread(s)\n", options.scene,
+               spec.size.width, spec.size.height, spec.settings.passes,
+               spec.settings.integrator == Integrator::igi ? "igi" : "path",
+               options.config.synthetic ? "synthetic" : "real", options.config.threads);
+    fmt::print("{:>7} {:>7} {:>8} {:>9} {:>6} {:>27} {:>27} {:>9} {:>8} {:>6}\n", "workers",
+               "viewers", "frames/s", "tiles/s", "effic.", "first p50/p95/p99/max ms",
+               "final p50/p95/p99/max ms", "CPU/tile", "MB/frame", "wrong");
+}
+
+void print_row(const ClusterBenchRow& row, std::optional<double> efficiency) {
+    const auto times = [](const Percentiles& p) {
+        return fmt::format("{:.1f}/{:.1f}/{:.1f}/{:.1f}", 1e3 * p.p50, 1e3 * p.p95, 1e3 * p.p99,
+                           1e3 * p.max);
+    };
+    fmt::print("{:>7} {:>7} {:>8.2f} {:>9.0f} {:>6} {:>27} {:>27} {:>6.2f} us {:>8.2f} {:>6}\n",
+               row.config.workers, row.config.viewers, row.frames_per_s, row.tiles_per_s,
+               efficiency ? fmt::format("{:.3f}", *efficiency) : "-", times(row.first),
+               times(row.final), 1e6 * row.server_cpu_s_per_tile,
+               1e-6 * (row.bytes_from_workers + row.bytes_to_viewer), row.wrong_pixels);
+    for (const FaultReport& fault : row.faults)
+        fmt::print("        {} after {:.2f} s: that frame {:.1f} ms later\n", fault.kind, fault.at,
+                   1e3 * fault.recovery);
+    std::fflush(stdout);
+}
+
+nlohmann::json json_of(const Percentiles& p) {
+    return {{"p50", p.p50}, {"p95", p.p95}, {"p99", p.p99}, {"max", p.max}};
+}
+
+nlohmann::json json_of(const ClusterBenchRow& row, std::optional<double> efficiency) {
+    nlohmann::json bytes = {{"to_viewer", row.bytes_to_viewer},
+                            {"from_workers", row.bytes_from_workers}};
+    if (row.bytes_to_workers) bytes["to_workers"] = *row.bytes_to_workers;
+    nlohmann::json json = {{"workers", row.config.workers},
+                           {"threads", row.config.threads},
+                           {"synthetic", row.config.synthetic},
+                           {"tile_seconds", row.config.tile_seconds},
+                           {"viewers", row.config.viewers},
+                           {"in_flight", row.config.in_flight},
+                           {"width", row.config.spec.size.width},
+                           {"height", row.config.spec.size.height},
+                           {"seconds", row.seconds},
+                           {"frames", row.frames},
+                           {"frames_per_s", row.frames_per_s},
+                           {"tiles_per_s", row.tiles_per_s},
+                           {"efficiency", nullptr},
+                           {"latency_first_s", json_of(row.first)},
+                           {"latency_final_s", json_of(row.final)},
+                           {"server_cpu_s_per_tile", row.server_cpu_s_per_tile},
+                           {"bytes_per_frame", bytes},
+                           {"recovery_s", nullptr},
+                           {"faults", nlohmann::json::array()},
+                           {"wrong_pixels", row.wrong_pixels},
+                           {"interrupted", row.interrupted}};
+    if (efficiency) json["efficiency"] = *efficiency;
+    double longest = 0;
+    for (const FaultReport& fault : row.faults) {
+        longest = std::max(longest, fault.recovery);
+        json["faults"].push_back(
+            {{"kind", fault.kind}, {"at_s", fault.at}, {"recovery_s", fault.recovery}});
+    }
+    if (!row.faults.empty()) json["recovery_s"] = longest;
+    return json;
+}
+
+void write(const std::string& file, const std::string& text) {
+    if (file.empty()) return;
+    std::ofstream out(file);
+    out << text;
+    if (!out.flush()) throw UserError(fmt::format("cannot write {}", file));
+}
+
+std::string csv_of(const nlohmann::json& rows) {
+    const std::vector<std::string> columns{"workers",      "viewers",    "frames_per_s",
+                                           "tiles_per_s",  "efficiency", "server_cpu_s_per_tile",
+                                           "wrong_pixels", "recovery_s"};
+    std::string text = fmt::format("{}", fmt::join(columns, ","));
+    for (const char* latency : {"latency_first_s", "latency_final_s"})
+        for (const char* p : {"p50", "p95", "p99", "max"})
+            text += fmt::format(",{}_{}", latency, p);
+    for (const auto& row : rows) {
+        text += '\n';
+        for (const std::string& column : columns)
+            text += (row[column].is_null() ? "" : row[column].dump()) + ',';
+        for (const char* latency : {"latency_first_s", "latency_final_s"})
+            for (const char* p : {"p50", "p95", "p99", "max"}) text += row[latency][p].dump() + ',';
+        text.pop_back();
+    }
+    return text + '\n';
+}
+
+ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& bundle) {
+    ClusterBenchConfig config = options.config;
+    config.tile_seconds = 1e-3 * options.tile_ms;
+    config.spec.scene = options.scene;
+    config.spec.size = options.camera.size;
+    // Synthetic workers send what is least to send: finished pixels.
+    RenderSettings& settings = config.spec.settings;
+    settings.integrator =
+        options.integrator.value_or(config.synthetic ? Integrator::path : Integrator::igi);
+    settings.passes = options.passes.value_or(1);
+    config.path =
+        walk(chosen_camera(options.camera, bundle, [](const std::string&) {}), options.views);
+    return config;
+}
+
+void run(const ClusterOptions& options) {
+    Interrupt interrupt;
+    const SceneBundle bundle = load_scene(options.scene).bundle;
+    ClusterBenchConfig config = config_of(options, bundle);
+    print_header(options, config.spec);
+    nlohmann::json rows = nlohmann::json::array();
+    std::optional<ClusterBenchRow> first;
+    bool right = true, interrupted = false;
+    for (const int viewers : options.viewers)
+        for (const int workers : options.workers) {
+            if (interrupted) break;
+            config.workers = workers;
+            config.viewers = viewers;
+            const ClusterBenchRow row = bench_cluster(config, bundle, interrupt);
+            if (!first) first = row;
+            print_row(row, efficiency(row, *first));
+            rows.push_back(json_of(row, efficiency(row, *first)));
+            right = right && row.wrong_pixels == 0;
+            interrupted = row.interrupted;
+        }
+    write(options.csv, csv_of(rows));
+    write(options.json,
+          nlohmann::json{{"version", TESSERA_VERSION}, {"results", rows}}.dump(2) + '\n');
+    if (!right) throw UserError("pixels differ from those of an undisturbed frame");
+}
+
+[[noreturn]] void simulate(const ClusterOptions& options, std::vector<std::string> arguments) {
+    if (!options.json.empty()) arguments.insert(arguments.end(), {"--json", options.json});
+    become("tessera-sim", arguments);
+}
+
+}  // namespace
+
+void add_cluster_command(CLI::App* bench) {
+    auto options = std::make_shared<ClusterOptions>();
+    options->camera.size = {1920, 1080};
+    ClusterOptions& o = *options;
+    CLI::App* command = bench->add_subcommand(
+        "cluster",
+        "Load a server with workers and viewers; with --simulate, clusters of any size in virtual "
+        "time");
+    command->set_help_flag("-h,--help", "print this help message and exit");
+    command->add_option("SCENE", o.scene, "file or generated scene")->capture_default_str();
+    command->add_option("--workers", o.workers, "numbers of workers to measure, 1,2,4...")
+        ->delimiter(',')
+        ->check(CLI::Range(1, 4096));
+    command->add_option("--threads", o.config.threads, "threads of each worker")
+        ->check(CLI::Range(1, 1024))
+        ->capture_default_str();
+    command->add_flag("--synthetic", o.config.synthetic,
+                      "workers that answer at once with made-up pixels");
+    command->add_option("--tile-ms", o.tile_ms, "synthetic: mean time of a tile")
+        ->check(CLI::NonNegativeNumber);
+    command
+        ->add_option("--tile-spread", o.config.spread,
+                     "synthetic: standard deviation of the logarithm of that time")
+        ->check(CLI::Range(0.0, 3.0))
+        ->capture_default_str();
+    command->add_option("--viewers", o.viewers, "numbers of viewers to measure, 1,2,4...")
+        ->delimiter(',')
+        ->check(CLI::Range(1, 512));
+    command->add_option("--in-flight", o.config.in_flight, "frames a viewer asks for ahead")
+        ->check(CLI::Range(1, 16))
+        ->capture_default_str();
+    command->add_option("--seconds", o.config.seconds, "time of each measurement")
+        ->check(CLI::PositiveNumber)
+        ->capture_default_str();
+    command->add_option("--kill", o.config.kills, "seconds after which a worker is killed")
+        ->delimiter(',');
+    command->add_option("--hang", o.config.hangs, "seconds after which a worker hangs (SIGSTOP)")
+        ->delimiter(',');
+    command
+        ->add_option("--integrator", o.integrator,
+                     "igi (default of real workers) or path (of synthetic ones)")
+        ->transform(CLI::CheckedTransformer(std::map<std::string, Integrator>{
+            {"igi", Integrator::igi}, {"path", Integrator::path}}));
+    command->add_option("--passes", o.passes, "passes of each frame (default 1)")
+        ->check(CLI::Range(1, 65536));
+    command->add_option("--views", o.views, "cameras on the path")
+        ->check(CLI::Range(1, 64))
+        ->capture_default_str();
+    command->add_option("--json", o.json, "write the results to this file");
+    command->add_option("--csv", o.csv, "and to this one");
+    add_camera_options(command, o.camera);
+    command->add_flag("--simulate", o.simulate, "simulate instead; also: --quick, --schedules N");
+    command->allow_extras();
+    command->callback([options, command] {
+        if (options->simulate) simulate(*options, command->remaining());
+        if (!command->remaining().empty())
+            throw UserError(fmt::format("bench cluster knows no {}", command->remaining().front()));
+        run(*options);
+    });
+}
+
+}  // namespace tessera

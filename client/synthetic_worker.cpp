@@ -1,0 +1,193 @@
+#include "client/synthetic_worker.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <future>
+#include <map>
+#include <random>
+
+#include "common/check.h"
+#include "common/log.h"
+
+namespace tessera {
+namespace {
+
+/// Floats from which all tiles take their pixels: more than the caches nearest to a core hold.
+constexpr std::size_t noise_floats = 1u << 18;
+
+using Noise = std::shared_ptr<const std::vector<float>>;
+
+Noise make_noise() {
+    std::mt19937 random(1);
+    std::uniform_real_distribution<float> uniform(0, 1);
+    std::vector<float> noise(noise_floats);
+    for (float& value : noise) value = uniform(random);
+    return std::make_shared<const std::vector<float>>(std::move(noise));
+}
+
+/// What a tile takes, in units of the mean; the same in every frame.
+double cost_of(const TileTask& task, double spread) {
+    std::mt19937 random(task.tile);
+    return std::lognormal_distribution<>(-spread * spread / 2, spread)(random);
+}
+
+/// Pixels that depend on the task alone, and not on the number of the frame.
+Payload pixels_of(const FrameSpec& spec, const TileTask& task, const Noise& noise) {
+    const std::size_t floats = tile_rect(spec.size, task.tile).pixels() *
+                               std::size_t(floats_per_pixel(tile_channels(spec)));
+    const std::size_t offset =
+        (task.tile * 769u + task.first_pass * 131u) % (noise->size() - floats + 1);
+    return {noise, std::as_bytes(std::span(*noise).subspan(offset, floats))};
+}
+
+}  // namespace
+
+class SyntheticWorkers::Worker : public std::enable_shared_from_this<Worker> {
+public:
+    Worker(const SyntheticConfig& config, int number, Noise noise)
+        : config_(config), number_(number), noise_(std::move(noise)), idle_(config.threads) {}
+
+    asio::awaitable<void> run() {
+        const auto self = shared_from_this();
+        connection_ = co_await connect(config_.server);
+        connection_->send({Hello{.role = Role::worker,
+                                 .build = TESSERA_VERSION,
+                                 .token = config_.token,
+                                 .name = fmt::format("synthetic-{}", number_ + 1),
+                                 .threads = config_.threads},
+                           {}});
+        for (;;) {
+            handle(co_await connection_->receive());
+            while (const std::optional<Message> more = connection_->receive_now()) handle(*more);
+            if (hangs_) co_return;
+        }
+    }
+
+    void kill() {
+        if (connection_) connection_->close();
+    }
+    void hang() { hangs_ = true; }
+    std::uint64_t results() const { return results_; }
+    const Connection* connection() const { return connection_.get(); }
+
+private:
+    void handle(const Message& message) {
+        if (const auto* task = message.get<TileTask>()) {
+            waiting_.push_back(*task);
+            start();
+        } else if (const auto* begin = message.get<FrameBegin>()) {
+            frames_[begin->spec.frame] = begin->spec;
+        } else if (const auto* end = message.get<FrameEnd>()) {
+            frames_.erase(end->frame);
+        } else if (const auto* ping = message.get<Ping>()) {
+            connection_->send({Pong{ping->stamp}, {}});
+        } else if (const auto* update = message.get<SceneUpdate>()) {
+            connection_->send({BlobRequest{update->scene, {}}, {}});
+            connection_->send({SceneReady{.scene = update->scene,
+                                          .version = update->delta.next_version,
+                                          .modelled = {},
+                                          .left_out = {}},
+                               {}});
+        } else if (const auto* refused = message.get<Refused>()) {
+            throw UserError(refused->reason);
+        }
+    }
+
+    void start() {
+        while (idle_ > 0 && !waiting_.empty()) {
+            const TileTask task = waiting_.front();
+            waiting_.pop_front();
+            const double seconds =
+                config_.tile_seconds > 0 ? config_.tile_seconds * cost_of(task, config_.spread) : 0;
+            if (seconds == 0) {
+                answer(task, seconds);
+                continue;
+            }
+            --idle_;
+            const auto timer = std::make_shared<asio::steady_timer>(connection_->executor());
+            timer->expires_after(std::chrono::duration_cast<std::chrono::steady_clock::duration>(
+                std::chrono::duration<double>(seconds)));
+            timer->async_wait([self = shared_from_this(), timer, task,
+                               seconds](const boost::system::error_code&) {
+                ++self->idle_;
+                self->answer(task, seconds);
+                self->start();
+            });
+        }
+    }
+
+    void answer(const TileTask& task, double seconds) {
+        const auto frame = frames_.find(task.frame);
+        if (hangs_ || frame == frames_.end()) return;
+        Message message;
+        message.body = TileResult{.task = task, .seconds = float(seconds), .data = {}};
+        message.payload = pixels_of(frame->second, task, noise_);
+        connection_->send_bulk(std::move(message));
+        ++results_;
+    }
+
+    SyntheticConfig config_;
+    int number_;
+    Noise noise_;
+    std::shared_ptr<Connection> connection_;
+    std::map<std::uint64_t, FrameSpec> frames_;
+    std::deque<TileTask> waiting_;
+    std::uint32_t idle_;
+    std::uint64_t results_ = 0;
+    bool hangs_ = false;
+};
+
+SyntheticWorkers::SyntheticWorkers(const SyntheticConfig& config) {
+    const Noise noise = make_noise();
+    for (int i = 0; i < config.workers; ++i) {
+        workers_.push_back(std::make_shared<Worker>(config, i, noise));
+        asio::co_spawn(io_, workers_.back()->run(), [](std::exception_ptr failure) {
+            try {
+                if (failure) std::rethrow_exception(failure);
+            } catch (const UserError& error) {
+                spdlog::error("synthetic worker: {}", error.what());
+            } catch (const std::exception& error) {
+                spdlog::debug("synthetic worker: {}", error.what());
+            }
+        });
+    }
+    thread_ = std::thread([this] {
+        const auto work = asio::make_work_guard(io_);
+        io_.run();
+    });
+}
+
+SyntheticWorkers::~SyntheticWorkers() {
+    io_.stop();
+    thread_.join();
+}
+
+template <class F>
+auto SyntheticWorkers::ask(F f) {
+    return asio::post(io_, std::packaged_task<decltype(f())()>(std::move(f))).get();
+}
+
+void SyntheticWorkers::kill(int worker) {
+    ask([this, worker] { workers_.at(std::size_t(worker))->kill(); });
+}
+
+void SyntheticWorkers::hang(int worker) {
+    ask([this, worker] { workers_.at(std::size_t(worker))->hang(); });
+}
+
+SyntheticTraffic SyntheticWorkers::traffic() {
+    return ask([this] {
+        SyntheticTraffic sum;
+        for (const auto& worker : workers_) {
+            sum.results += worker->results();
+            if (!worker->connection()) continue;
+            sum.bytes_in += worker->connection()->bytes_received();
+            sum.bytes_out += worker->connection()->bytes_sent();
+        }
+        return sum;
+    });
+}
+
+}  // namespace tessera
