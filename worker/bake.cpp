@@ -46,11 +46,12 @@ void bake_instance(const TracerObject& object, const TracerInstance& instance, s
 std::size_t bakeable_triangles(std::span<const TracerObject> objects,
                                std::span<const TracerInstance> instances) {
     constexpr std::size_t few = 1 << 16;
+    constexpr std::size_t too_many = 1 << 27;  // for the links of one narrow tree
     std::size_t unique = 0;
     const std::vector<std::size_t> uses = count_uses(objects, instances);
     for (std::size_t i = 0; i < objects.size(); ++i)
         if (uses[i] > 0) unique += objects[i].triangles.size();
-    return std::max(2 * unique, few);
+    return std::min(std::max(2 * unique, few), too_many);
 }
 
 std::vector<std::uint8_t> choose_baked(std::span<const TracerObject> objects,

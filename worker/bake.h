@@ -1,8 +1,10 @@
 // Instances that are traced as one object in world space, so that rays need not be transformed for
 // each, nor find their way among boxes that overlap.
 //
-// Wald 2004, 9.2 classifies objects: what never moves is one "static" object, what moves as a whole
-// is an instance. Here every object used once is static, and others as far as memory allows.
+// Wald, "Realtime Ray Tracing and Interactive Global Illumination" (2004), chapter 9, tells what is
+// static, and one object, from what moves as a whole, and from what deforms. We differ in that
+// objects used once are static unless they are said to move, and so are others as far as memory
+// allows.
 #pragma once
 
 #include <span>
@@ -19,7 +21,7 @@ namespace tessera {
 std::vector<std::uint8_t> choose_baked(std::span<const TracerObject> objects,
                                        std::span<const TracerInstance> instances, std::size_t most);
 
-/// How many triangles are worth baking: as many again as the objects have, for the memory; few are
+/// How many triangles are worth baking: twice as many as the objects have, for the memory; few are
 /// always.
 std::size_t bakeable_triangles(std::span<const TracerObject> objects,
                                std::span<const TracerInstance> instances);
