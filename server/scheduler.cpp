@@ -80,7 +80,8 @@ void Scheduler::scene_gone(std::uint64_t worker, const std::string& scene) {
 
 void Scheduler::round_trip(std::uint64_t worker, double seconds) {
     Worker& w = worker_of(worker);
-    w.overdue = false;
+    // A sign of life is not yet a tile.
+    w.overdue = w.expired > 0;
     update_mean(w.round_trip, seconds);
     set_limit(slots_.at(worker));
 }
@@ -246,6 +247,7 @@ void Scheduler::end_lease(Frame& frame, Task& task, std::uint32_t index) {
 
     Worker& w = workers_[lease.worker];
     --w.leases;
+    w.expired -= lease.expired;
     w.work_held = w.leases == 0 ? 0 : std::max(0.0, w.work_held - lease.cost);
     if (w.id != 0) wait(lease.worker);
     lease.worker = none;
@@ -285,6 +287,7 @@ void Scheduler::expire(TimePoint now) {
             continue;
         }
         lease.expired = true;
+        ++workers_[lease.worker].expired;
         workers_[lease.worker].overdue = true;
         crew_changed();
         queue_if_orphaned(frame, lease.task, *find(frame, lease.run, lease.task.tile));
@@ -295,7 +298,6 @@ Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoin
                             std::optional<double> render_seconds) {
     const auto slot = slots_.find(worker);
     if (slot == slots_.end()) return Answer::unknown;
-    workers_[slot->second].overdue = false;
     const auto found = frames_.find(name.frame);
     if (found == frames_.end()) return Answer::unknown;
     Frame& frame = found->second;
@@ -306,6 +308,7 @@ Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoin
     while (index != none && leases_[index].worker != slot->second) index = leases_[index].next;
     if (index == none) return Answer::unknown;
 
+    workers_[slot->second].overdue = false;
     learn(slot->second, frame, leases_[index], now, render_seconds);
     const Answer answer = task->done ? Answer::duplicate : Answer::first;
     if (!task->done) --frame.undone;

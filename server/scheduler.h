@@ -129,10 +129,12 @@ private:
         std::uint32_t threads = 1;
         std::uint32_t limit = 1;
         std::uint32_t leases = 0;
-        double work_held = 0;     ///< costs of the tasks it holds
-        double round_trip = 0;    ///< seconds
-        double task_seconds = 0;  ///< of a thread for a task of cost 1; 0: not known yet
-        bool overdue = false;     ///< has let a lease expire and not been heard of since
+        double work_held = 0;       ///< costs of the tasks it holds
+        double round_trip = 0;      ///< seconds
+        double task_seconds = 0;    ///< of a thread for a task of cost 1; 0: not known yet
+        std::uint32_t expired = 0;  ///< leases of those that it still holds
+        bool overdue =
+            false;  ///< lets leases expire; until it answers, or has none and is heard of
         bool retired = false;
         bool waiting = false;                                            ///< in waiting_
         std::vector<std::pair<std::string, std::uint64_t>> scenes = {};  ///< name -> version
