@@ -16,5 +16,9 @@ void add_bench_command(CLI::App& app);
 /// To the command `bench`.
 void add_quality_command(CLI::App* bench);
 void add_view_bench_command(CLI::App* bench);
+void add_keys_command(CLI::App& app);
+
+/// `--keys`, for commands that talk to a server.
+CLI::Option* add_keys_option(CLI::App* command, std::string& keys);
 
 }  // namespace tessera

@@ -19,6 +19,7 @@ using Clock = std::chrono::steady_clock;
 
 struct EditOptions {
     std::string server;
+    std::string keys;
     std::string scene;
     bool json = false;
     std::string name, kind, file, object;
@@ -31,7 +32,7 @@ class Editor {
 public:
     explicit Editor(const EditOptions& options)
         : client_({.address = options.server,
-                   .token = token_from_environment(),
+                   .credentials = load_credentials(options.keys),
                    .tick = [this] { interrupt_.check(); }}),
           scene_(options.scene) {
         const std::vector<std::string>& known = client_.welcome().scenes;
@@ -145,6 +146,7 @@ void add_edit_command(CLI::App& app) {
     auto options = std::make_shared<EditOptions>();
     CLI::App* command = app.add_subcommand("edit", "Change a scene that a server holds");
     command->add_option("--server", options->server, "HOST:PORT of the server")->required();
+    add_keys_option(command, options->keys);
     command->add_option("--scene", options->scene, "which of its scenes (default: the only one)");
     command->require_subcommand(1);
     command->fallthrough();

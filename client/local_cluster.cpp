@@ -5,7 +5,6 @@
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
-#include <sys/random.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -28,14 +27,6 @@ using Clock = std::chrono::steady_clock;
 constexpr std::chrono::seconds start_timeout{10};  // a cold start from a slow disk
 constexpr std::chrono::seconds stop_timeout{2};
 
-std::string random_token() {
-    std::uint8_t bytes[32];
-    CHECK(getrandom(bytes, sizeof bytes, 0) == sizeof bytes);
-    std::string token;
-    for (const std::uint8_t byte : bytes) token += fmt::format("{:02x}", byte);
-    return token;
-}
-
 std::filesystem::path find_program(std::filesystem::path folder, const std::string& program) {
     if (folder.empty()) folder = std::filesystem::read_symlink("/proc/self/exe").parent_path();
     if (!std::filesystem::exists(folder / program))
@@ -51,11 +42,14 @@ std::vector<char*> pointers(std::vector<std::string>& strings) {
     return out;
 }
 
-/// The parent's environment with the cluster's token, which so never shows on a command line.
+/// The parent's environment with the cluster's token, which so never shows on a command line; keys
+/// are for other servers.
 std::vector<std::string> environment_with(const std::string& token) {
     std::vector<std::string> out{"TESSERA_TOKEN=" + token};
     for (char** entry = environ; *entry; ++entry)
-        if (!std::string_view(*entry).starts_with("TESSERA_TOKEN=")) out.emplace_back(*entry);
+        if (!std::string_view(*entry).starts_with("TESSERA_TOKEN=") &&
+            !std::string_view(*entry).starts_with("TESSERA_KEYS="))
+            out.emplace_back(*entry);
     return out;
 }
 

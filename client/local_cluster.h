@@ -10,6 +10,8 @@
 #include <string>
 #include <vector>
 
+#include "common/keys.h"
+
 namespace tessera {
 
 struct LocalClusterConfig {
@@ -29,7 +31,7 @@ public:
     LocalCluster& operator=(const LocalCluster&) = delete;
 
     const std::string& address() const { return address_; }
-    const std::string& token() const { return token_; }
+    Credentials credentials() const { return {token_, nullptr}; }
 
     /// Worker processes, for tests that hurt them.
     std::vector<pid_t> workers() const;

@@ -22,6 +22,7 @@ int main(int argc, char** argv) {
     add_view_command(app);
     add_edit_command(app);
     add_bench_command(app);
+    add_keys_command(app);
     start_log("tessera", "warning");
     try {
         app.parse(argc, argv);

@@ -38,7 +38,9 @@ class Studio {
 public:
     Studio(const QualityOptions& options, const std::string& file)
         : cluster_(options.cluster),
-          client_({.address = cluster_.address(), .token = cluster_.token(), .tick = [this] {
+          client_({.address = cluster_.address(),
+                   .credentials = cluster_.credentials(),
+                   .tick = [this] {
                        interrupt_.check();
                        cluster_.check_alive();
                    }}) {

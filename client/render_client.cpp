@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <cstdlib>
 #include <cstring>
 #include <exception>
 #include <utility>
@@ -16,7 +15,6 @@ namespace tessera {
 namespace {
 
 constexpr std::chrono::milliseconds tick_interval{100};
-constexpr std::chrono::seconds connect_timeout{5};
 
 /// Collects the chunks of one channel; whatever a broken server sends stays inside the picture.
 void place_chunk(const PictureChunk& chunk, std::span<const std::byte> bytes, ImageSize size,
@@ -51,11 +49,17 @@ struct PictureAssembly {
         std::memcpy(bytes.data() + next.offset, payload.data(), payload.size());
     }
 
-    ShownPicture picture(const ViewPicture& about) const {
+    ShownPicture picture(const ViewPicture& about, bool keep_jpeg) const {
         const ImageSize size{int(chunk.width), int(chunk.height)};
-        ShownPicture out{
-            .about = about, .shown = chunk.channel, .size = size, .srgb8 = {}, .linear = {}};
-        if (chunk.format == PictureFormat::jpeg) {
+        ShownPicture out{.about = about,
+                         .shown = chunk.channel,
+                         .size = size,
+                         .srgb8 = {},
+                         .linear = {},
+                         .jpeg = {}};
+        if (chunk.format == PictureFormat::jpeg && keep_jpeg) {
+            out.jpeg = bytes;
+        } else if (chunk.format == PictureFormat::jpeg) {
             out.srgb8 = decode_jpeg(bytes, size);
         } else if (chunk.format == PictureFormat::srgb8) {
             out.srgb8.resize(bytes.size());
@@ -77,11 +81,6 @@ struct Rendering {
 };
 
 }  // namespace
-
-std::string token_from_environment() {
-    const char* token = std::getenv("TESSERA_TOKEN");
-    return token ? token : "";
-}
 
 struct RenderClient::State {
     RenderClientConfig config;
@@ -112,10 +111,10 @@ struct RenderClient::State {
     }
 
     asio::awaitable<void> serve() {
-        connection = co_await connect(parse_address(config.address), connect_timeout);
+        connection = co_await connect(parse_address(config.address), config.credentials.tls);
         connection->send({Hello{.role = Role::viewer,
                                 .build = TESSERA_VERSION,
-                                .token = config.token,
+                                .token = config.credentials.token,
                                 .name = "tessera"},
                           {}});
         for (;;) handle(co_await connection->receive());
@@ -175,7 +174,7 @@ struct RenderClient::State {
         const auto view = assemblies.find(body.request);
         if (view == assemblies.end() || view->second.bytes.empty()) return;
         try {
-            picture = view->second.picture(body);
+            picture = view->second.picture(body, config.keep_jpeg);
         } catch (const std::runtime_error& error) {
             throw ProtocolError(error.what());
         }
@@ -313,6 +312,10 @@ void RenderClient::poll(std::chrono::milliseconds patience) {
     state_->complaints.insert(state_->complaints.end(), state_->failures.begin(),
                               state_->failures.end());
     state_->failures.clear();
+}
+
+void RenderClient::wake() {
+    asio::post(state_->io, [] {});
 }
 
 void RenderClient::show(const View& view) {

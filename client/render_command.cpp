@@ -39,6 +39,7 @@ struct RenderOptions {
     ToneMap tone_map;
     std::vector<Channel> aov;
     std::string server;
+    std::string keys;
     LocalClusterConfig cluster;
     std::string stats;
 };
@@ -166,13 +167,14 @@ void run(const RenderOptions& options) {
     ProgressView view(bar);
     std::optional<LocalCluster> cluster;
     if (options.server.empty()) cluster.emplace(options.cluster);
-    RenderClient client({.address = cluster ? cluster->address() : options.server,
-                         .token = cluster ? cluster->token() : token_from_environment(),
-                         .tick = [&] {
-                             interrupt.check();
-                             view.tick();
-                             if (cluster) cluster->check_alive();
-                         }});
+    RenderClient client(
+        {.address = cluster ? cluster->address() : options.server,
+         .credentials = cluster ? cluster->credentials() : load_credentials(options.keys),
+         .tick = [&] {
+             interrupt.check();
+             view.tick();
+             if (cluster) cluster->check_alive();
+         }});
     const std::string name = std::filesystem::path(options.scene).filename().string();
     client.upload_scene(name, loaded.bundle);
     const FrameRequest request = request_of(options, name, camera);
@@ -251,6 +253,7 @@ void add_output_options(CLI::App* command, RenderOptions& o) {
 void add_cluster_options(CLI::App* command, RenderOptions& o) {
     auto* server = command->add_option("--server", o.server,
                                        "render on HOST:PORT instead of this machine alone");
+    add_keys_option(command, o.keys)->needs(server);
     command->add_option("--workers", o.cluster.workers, "worker processes of the embedded cluster")
         ->check(CLI::Range(1, 64))
         ->capture_default_str()

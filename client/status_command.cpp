@@ -13,6 +13,7 @@ namespace {
 
 struct StatusOptions {
     std::string server;
+    std::string keys;
     bool json = false;
 };
 
@@ -58,9 +59,9 @@ void print_table(const Status& status) {
 
 void run(const StatusOptions& options) {
     Interrupt interrupt;
-    RenderClient client({.address = options.server, .token = token_from_environment(), .tick = [&] {
-                             interrupt.check();
-                         }});
+    RenderClient client({.address = options.server,
+                         .credentials = load_credentials(options.keys),
+                         .tick = [&] { interrupt.check(); }});
     const Status status = client.status();
     options.json ? print_json(status) : print_table(status);
 }
@@ -71,6 +72,7 @@ void add_status_command(CLI::App& app) {
     auto options = std::make_shared<StatusOptions>();
     CLI::App* command = app.add_subcommand("status", "Show a server's workers, scenes and frames");
     command->add_option("--server", options->server, "HOST:PORT")->required();
+    add_keys_option(command, options->keys);
     command->add_flag("--json", options->json, "print JSON");
     command->callback([options] { run(*options); });
 }

@@ -159,10 +159,11 @@ void run(const ViewBenchOptions& options) {
     const Camera camera = chosen_camera(options.camera, loaded.bundle, [](const std::string&) {});
     Interrupt interrupt;
     LocalCluster cluster(options.cluster);
-    RenderClient client({.address = cluster.address(), .token = cluster.token(), .tick = [&] {
-                             interrupt.check();
-                             cluster.check_alive();
-                         }});
+    RenderClient client(
+        {.address = cluster.address(), .credentials = cluster.credentials(), .tick = [&] {
+             interrupt.check();
+             cluster.check_alive();
+         }});
     client.upload_scene(options.scene, loaded.bundle);
     client.share_scene(options.scene);
     client.watch(options.scene);

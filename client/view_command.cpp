@@ -26,6 +26,7 @@ using nlohmann::json;
 struct ViewOptions {
     std::string scene;
     std::string server;
+    std::string keys;
     LocalClusterConfig cluster;
     CameraOptions camera;
     std::uint32_t passes = 256;
@@ -137,12 +138,13 @@ void run(const ViewOptions& options) {
     Interrupt interrupt;
     std::optional<LocalCluster> cluster;
     if (options.server.empty()) cluster.emplace(options.cluster);
-    RenderClient client({.address = cluster ? cluster->address() : options.server,
-                         .token = cluster ? cluster->token() : token_from_environment(),
-                         .tick = [&] {
-                             interrupt.check();
-                             if (cluster) cluster->check_alive();
-                         }});
+    RenderClient client(
+        {.address = cluster ? cluster->address() : options.server,
+         .credentials = cluster ? cluster->credentials() : load_credentials(options.keys),
+         .tick = [&] {
+             interrupt.check();
+             if (cluster) cluster->check_alive();
+         }});
     const std::string scene = open_scene(options, client);
     client.watch(scene);
     memory.window.title = fmt::format("{} - Tessera", scene);
@@ -168,6 +170,7 @@ void add_view_command(CLI::App& app) {
                         "a scene of the server, a file, or the name of a generated scene");
     auto* server =
         command->add_option("--server", options->server, "HOST:PORT instead of this machine alone");
+    add_keys_option(command, options->keys)->needs(server);
     add_camera_options(command, options->camera);
     command->add_option("--passes", options->passes, "passes until a picture has settled")
         ->check(CLI::Range(1u, 1u << 20))

@@ -5,6 +5,7 @@
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <boost/asio/ssl.hpp>
 #include <utility>
 
 #include "common/check.h"
@@ -14,11 +15,14 @@ namespace {
 
 using boost::system::error_code;
 using Clock = std::chrono::steady_clock;
+namespace ssl = asio::ssl;
 
 /// Small messages share one system call up to this size; a large one goes alone.
 constexpr std::size_t batch_bytes = 64u << 10;
 /// Time for the last words of a session, counted from the peer's last sign of reading.
 constexpr auto closing_deadline = std::chrono::seconds(2);
+/// What a TLS client sends first: a record of the handshake.
+constexpr std::uint8_t tls_handshake_record = 22;
 
 /// Notices after 10 + 3 * 5 seconds that a peer's machine is gone.
 void keep_alive(tcp::socket& socket) {
@@ -45,6 +49,12 @@ std::string describe_peer(const tcp::socket& socket) {
 
 }  // namespace
 
+struct Connection::Tunnel {
+    ssl::stream<tcp::socket&> stream;
+
+    Tunnel(tcp::socket& socket, const Tls& tls) : stream(socket, tls.context()) {}
+};
+
 Connection::Connection(tcp::socket socket, const ConnectionConfig& config)
     : socket_(std::move(socket)),
       config_(config),
@@ -56,6 +66,40 @@ Connection::Connection(tcp::socket socket, const ConnectionConfig& config)
     error_code ignored;
     socket_.set_option(tcp::no_delay(true), ignored);
     keep_alive(socket_);
+}
+
+Connection::~Connection() = default;
+
+asio::awaitable<void> Connection::secure(const Tls& tls) {
+    const auto self = shared_from_this();
+    tunnel_ = std::make_unique<Tunnel>(socket_, tls);
+    const auto side =
+        tls.side() == Tls::Side::server ? ssl::stream_base::server : ssl::stream_base::client;
+    error_code error;
+    co_await tunnel_->stream.async_handshake(side,
+                                             asio::redirect_error(asio::use_awaitable, error));
+    if (!error) co_return;
+    close();
+    throw boost::system::system_error(error);
+}
+
+asio::awaitable<bool> Connection::peer_begins_tls() {
+    const auto self = shared_from_this();
+    std::uint8_t first = 0;
+    co_await socket_.async_receive(asio::buffer(&first, 1), tcp::socket::message_peek,
+                                   asio::use_awaitable);
+    co_return first == tls_handshake_record;
+}
+
+std::string Connection::peer_name() const {
+    if (!tunnel_) return {};
+    const std::unique_ptr<X509, decltype(&X509_free)> certificate(
+        SSL_get1_peer_certificate(tunnel_->stream.native_handle()), X509_free);
+    if (!certificate) return {};
+    char name[256] = "";
+    X509_NAME_get_text_by_NID(X509_get_subject_name(certificate.get()), NID_commonName, name,
+                              sizeof name);
+    return name;
 }
 
 asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> silence,
@@ -86,7 +130,16 @@ asio::awaitable<void> Connection::read_exactly(asio::mutable_buffer into,
         if (silence) arm(read_timer_, *silence, "is silent for too long");
         return error ? 0 : into.size();
     };
-    co_await asio::async_read(socket_, into, next_piece, asio::use_awaitable);
+    error_code error;
+    if (tunnel_)
+        co_await asio::async_read(tunnel_->stream, into, next_piece,
+                                  asio::redirect_error(asio::use_awaitable, error));
+    else
+        co_await asio::async_read(socket_, into, next_piece,
+                                  asio::redirect_error(asio::use_awaitable, error));
+    // Nobody says TLS's goodbye: frames tell where they end.
+    if (error == ssl::error::stream_truncated) error = asio::error::eof;
+    if (error) throw boost::system::system_error(error);
     read_timer_.expires_at(Clock::time_point::max());
 }
 
@@ -118,27 +171,41 @@ std::vector<EncodedMessage> Connection::take_batch() {
 }
 
 asio::awaitable<void> Connection::write_all() {
-    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
-        arm(write_timer_, config_.write_deadline, "does not read");
-        return error ? 0 : chunk_bytes;
-    };
     while (queued_bytes_ > 0) {
         const std::vector<EncodedMessage> batch = take_batch();
-        std::vector<asio::const_buffer> buffers;
-        for (const EncodedMessage& message : batch) {
-            buffers.push_back(asio::buffer(message.head));
-            buffers.emplace_back(message.payload.bytes.data(), message.payload.bytes.size());
-        }
-        error_code error;
-        co_await asio::async_write(socket_, buffers, next_piece,
-                                   asio::redirect_error(asio::use_awaitable, error));
-        if (error) close();
+        std::size_t size = 0;
+        for (const EncodedMessage& message : batch) size += message.size();
+        if (co_await write(batch)) close();
         if (!open()) break;
-        queued_bytes_ -= asio::buffer_size(buffers);
+        queued_bytes_ -= size;
         drained_.cancel();
     }
     write_timer_.expires_at(Clock::time_point::max());
     writing_ = false;
+}
+
+asio::awaitable<error_code> Connection::write(std::span<const EncodedMessage> batch) {
+    const auto next_piece = [&](const error_code& error, std::size_t) -> std::size_t {
+        arm(write_timer_, config_.write_deadline, "does not read");
+        return error ? 0 : chunk_bytes;
+    };
+    std::vector<asio::const_buffer> buffers;
+    for (const EncodedMessage& message : batch) {
+        buffers.push_back(asio::buffer(message.head));
+        buffers.emplace_back(message.payload.bytes.data(), message.payload.bytes.size());
+    }
+    error_code error;
+    if (tunnel_) {
+        // One piece, or TLS would make a record of every buffer.
+        std::vector<std::byte> joined(asio::buffer_size(buffers));
+        asio::buffer_copy(asio::buffer(joined), buffers);
+        co_await asio::async_write(tunnel_->stream, asio::buffer(joined), next_piece,
+                                   asio::redirect_error(asio::use_awaitable, error));
+    } else {
+        co_await asio::async_write(socket_, buffers, next_piece,
+                                   asio::redirect_error(asio::use_awaitable, error));
+    }
+    co_return error;
 }
 
 asio::awaitable<void> Connection::progress() {
@@ -204,17 +271,19 @@ Address parse_address(const std::string& text) {
     return address;
 }
 
-asio::awaitable<std::shared_ptr<Connection>> connect(Address address, Clock::duration timeout) {
+asio::awaitable<std::shared_ptr<Connection>> connect(Address address,
+                                                     std::shared_ptr<const Tls> tls,
+                                                     Clock::duration timeout) {
     const auto executor = co_await asio::this_coro::executor;
     const auto fail = [&](const std::string& reason) {
-        return UserError(fmt::format("cannot reach {}: {}; is tessera-server running there?",
-                                     describe(address), reason));
+        return UserError(fmt::format("cannot reach {}: {}", describe(address), reason));
     };
+    constexpr const char* question = "; is tessera-server running there?";
     error_code error;
     tcp::resolver resolver(executor);
     const auto endpoints = co_await resolver.async_resolve(
         address.host, address.port, asio::redirect_error(asio::use_awaitable, error));
-    if (error) throw fail(error.message());
+    if (error) throw fail(error.message() + question);
     // Shared with the timer, which may fire when this coroutine is over.
     const auto socket = std::make_shared<tcp::socket>(executor);
     asio::steady_timer timer(executor, timeout);
@@ -223,9 +292,25 @@ asio::awaitable<std::shared_ptr<Connection>> connect(Address address, Clock::dur
     });
     co_await asio::async_connect(*socket, endpoints,
                                  asio::redirect_error(asio::use_awaitable, error));
-    if (error == asio::error::operation_aborted) throw fail("no answer");
-    if (error) throw fail(error.message());
-    co_return std::make_shared<Connection>(std::move(*socket));
+    if (error == asio::error::operation_aborted) throw fail(std::string("no answer") + question);
+    if (error) throw fail(error.message() + question);
+    timer.cancel();
+    const auto connection = std::make_shared<Connection>(std::move(*socket));
+    if (!tls) co_return connection;
+
+    asio::steady_timer handshake_timer(executor, timeout);
+    handshake_timer.async_wait([connection](const error_code& cancelled) {
+        if (!cancelled) connection->close();
+    });
+    try {
+        co_await connection->secure(*tls);
+    } catch (const boost::system::system_error& failure) {
+        throw fail(
+            fmt::format("no TLS with it: {}; does it run with --keys, and are these keys "
+                        "from the same `tessera keys`?",
+                        failure.code().message()));
+    }
+    co_return connection;
 }
 
 }  // namespace tessera

@@ -2,7 +2,8 @@
 // A session is a loop over `receive`; writing goes on by itself while anything is queued.
 //
 // After the C++20 coroutine examples of Boost.Asio (Kohlhoff). Where we differ: the queue towards
-// the peer is bounded, and every wait for the peer has an end.
+// the peer is bounded, and every wait for the peer has an end. What travels is plain, or TLS 1.3
+// from the first byte on.
 #pragma once
 
 #include <array>
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "common/framing.h"
+#include "common/keys.h"
 #include "common/message_codec.h"
 #include "common/messages.h"
 
@@ -41,6 +43,16 @@ public:
     /// Takes over a connected socket; sets TCP_NODELAY, and keepalive so that a peer whose machine
     /// is gone is noticed within half a minute even if nobody speaks.
     explicit Connection(tcp::socket socket, const ConnectionConfig& config = {});
+    ~Connection();
+
+    /// Speaks TLS from now on; comes before anything is sent or received. Throws
+    /// boost::system::system_error when the peer does not prove itself; the connection is closed.
+    asio::awaitable<void> secure(const Tls& tls);
+    /// Whether the peer, a client, begins with TLS. Returns when its first byte is there; throws
+    /// boost::system::system_error when the connection is lost or closed.
+    asio::awaitable<bool> peer_begins_tls();
+    /// Common name of the certificate that the peer has proven to own; empty when it has none.
+    std::string peer_name() const;
 
     /// The next message. `silence` bounds the time in which not a single byte arrives.
     /// Throws ProtocolError when the peer sends something malformed, reads too slowly or is silent
@@ -75,6 +87,7 @@ public:
     const std::string& remote_address() const { return remote_address_; }
 
 private:
+    struct Tunnel;
     using Lane = std::deque<EncodedMessage>;
 
     void enqueue(Lane& lane, Message message);
@@ -82,6 +95,7 @@ private:
     std::vector<EncodedMessage> take_batch();
     /// Runs while anything is queued.
     asio::awaitable<void> write_all();
+    asio::awaitable<boost::system::error_code> write(std::span<const EncodedMessage> batch);
     /// Returns when something was sent or the connection closed.
     asio::awaitable<void> progress();
     asio::awaitable<void> read_exactly(asio::mutable_buffer into,
@@ -91,6 +105,7 @@ private:
              const char* complaint);
 
     tcp::socket socket_;
+    std::unique_ptr<Tunnel> tunnel_;  ///< TLS over the socket; null: plain
     ConnectionConfig config_;
     std::string remote_address_;
     Lane control_;
@@ -118,9 +133,10 @@ struct Address {
 /// the caller (to listen on a free port).
 Address parse_address(const std::string& text);
 
-/// Connects to the first of the address's endpoints that answers. Throws UserError naming the
-/// address, the reason and what to do.
+/// Connects to the first of the address's endpoints that answers, and speaks TLS where it is given.
+/// Throws UserError naming the address, the reason and what to do.
 asio::awaitable<std::shared_ptr<Connection>> connect(
-    Address address, std::chrono::steady_clock::duration timeout = std::chrono::seconds(5));
+    Address address, std::shared_ptr<const Tls> tls = {},
+    std::chrono::steady_clock::duration timeout = std::chrono::seconds(5));
 
 }  // namespace tessera

@@ -73,24 +73,36 @@ bool keep_encoded(tinygltf::Image* image, int, std::string*, std::string*, int, 
     return true;
 }
 
+/// Lets tinygltf find only files in the folder that `user_data` points to.
+bool exists_within(const std::string& file, void* user_data) {
+    const auto& folder = *static_cast<const std::filesystem::path*>(user_data);
+    return lies_within(folder, file) && tinygltf::FileExists(file, nullptr);
+}
+
 tinygltf::Model parse(const std::filesystem::path& file) {
     const std::string bytes = read_file(file);
     if (bytes.size() > std::numeric_limits<unsigned>::max())
         throw UserError(fmt::format("{}: larger than 4 GB; split the file", file.string()));
     tinygltf::TinyGLTF parser;
     parser.SetImageLoader(keep_encoded, nullptr);
+    std::filesystem::path folder = file.parent_path();
+    parser.SetFsCallbacks({.FileExists = exists_within,
+                           .ExpandFilePath = tinygltf::ExpandFilePath,
+                           .ReadWholeFile = tinygltf::ReadWholeFile,
+                           .WriteWholeFile = tinygltf::WriteWholeFile,
+                           .user_data = &folder});
     tinygltf::Model model;
     std::string error, warning;
     bool good = false;
     const auto size = unsigned(bytes.size());
-    const std::string folder = file.parent_path().string();
     try {
         good =
             bytes.starts_with("glTF")
                 ? parser.LoadBinaryFromMemory(&model, &error, &warning,
                                               reinterpret_cast<const unsigned char*>(bytes.data()),
-                                              size, folder)
-                : parser.LoadASCIIFromString(&model, &error, &warning, bytes.data(), size, folder);
+                                              size, folder.string())
+                : parser.LoadASCIIFromString(&model, &error, &warning, bytes.data(), size,
+                                             folder.string());
     } catch (const std::exception& exception) {
         error = exception.what();
     }

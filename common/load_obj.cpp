@@ -227,8 +227,9 @@ public:
 
 private:
     bool read_one(const std::string& name) {
+        if (name.empty() || is_outside(name)) return false;
         std::ifstream in(folder_ / name);
-        if (name.empty() || !in || std::filesystem::is_directory(folder_ / name)) return false;
+        if (!in || std::filesystem::is_directory(folder_ / name)) return false;
         std::string warnings, errors;
         tinyobj::LoadMtl(&by_name_, &read_, &in, &warnings, &errors);
         return true;
@@ -265,7 +266,15 @@ private:
             .texture = it->second, .offset = {offset.x, 1 - scale.y - offset.y}, .scale = scale};
     }
 
+    bool is_outside(const std::string& name) {
+        if (lies_within(folder_, folder_ / name)) return false;
+        scene_.notes.push_back(fmt::format(
+            "{} lies outside the scene's folder and is not read; copy it to there", name));
+        return true;
+    }
+
     std::int32_t read_picture(const std::string& name, Wrap wrap) {
+        if (is_outside(name)) return -1;
         try {
             Texture texture = read_texture(folder_ / name);
             texture.wrap_u = texture.wrap_v = wrap;

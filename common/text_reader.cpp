@@ -34,6 +34,15 @@ std::string read_file(const std::filesystem::path& file) {
     return bytes;
 }
 
+bool lies_within(const std::filesystem::path& folder, const std::filesystem::path& file) {
+    std::error_code error;
+    const auto whole = [&](const std::filesystem::path& path) {
+        return std::filesystem::weakly_canonical(std::filesystem::absolute(path), error);
+    };
+    const std::filesystem::path within = whole(file).lexically_relative(whole(folder));
+    return !error && !within.empty() && *within.begin() != "..";
+}
+
 bool TextReader::next_line() {
     if (next_ >= text_.size()) return false;
     const std::size_t end = std::min(text_.find('\n', next_), text_.size());

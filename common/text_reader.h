@@ -12,6 +12,10 @@ namespace tessera {
 /// The bytes of a file. Throws UserError when it cannot be read.
 std::string read_file(const std::filesystem::path& file);
 
+/// Whether `file` lies in `folder` or below it, links followed: a scene from elsewhere must not
+/// make its reader open other files of this machine.
+bool lies_within(const std::filesystem::path& folder, const std::filesystem::path& file);
+
 class TextReader {
 public:
     /// Reads `text`, which must outlive the reader; `file` is for messages.

@@ -52,11 +52,17 @@ int main(int argc, char** argv) {
     Options options;
     CLI::App app(
         "Tessera's server: owns scenes and frames, spreads the work over workers.\n"
-        "Peers prove themselves with the token in the environment variable TESSERA_TOKEN.");
+        "Peers prove themselves with keys that `tessera keys` makes or, on loopback, with the "
+        "token\n"
+        "in the environment variable TESSERA_TOKEN.");
     app.add_option("scenes", options.scenes, "scene files, or names of generated scenes, to hold");
     app.add_option("--listen", options.config.listen, "address to listen on; port 0: any free one")
         ->type_name("HOST:PORT")
         ->capture_default_str();
+    app.add_option("--keys", options.config.keys,
+                   "folder `server` that `tessera keys` made: peers speak TLS and have its tokens; "
+                   "needed to listen beyond loopback")
+        ->envname("TESSERA_KEYS");
     app.add_option("--log", options.log_level, "how much to log")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();

@@ -61,6 +61,14 @@ bool same_token(const std::string& a, const std::string& b) {
     return difference == 0;
 }
 
+/// Compares with every token, so that the time tells nothing.
+std::optional<Grant> grant_of(const std::string& token, const ServerKeys& keys) {
+    std::optional<Grant> out;
+    for (const auto& [known, grant] : keys.tokens)
+        if (same_token(token, known)) out = grant;
+    return out;
+}
+
 /// Runs a session to its end. Whatever a peer does wrong ends here, with its own session.
 template <class Session>
 asio::awaitable<void> hold_session(std::shared_ptr<Session> session, asio::awaitable<void> run,
@@ -86,10 +94,12 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
       started_(Clock::now()),
       farm_(io.get_executor(), config.fold_threads) {
     const tcp::endpoint endpoint = resolve(io, config.listen);
-    if (config.token.empty() && !endpoint.address().is_loopback())
+    if (!config.keys.empty()) keys_ = load_server_keys(config.keys);
+    if (!keys_ && !endpoint.address().is_loopback())
         throw UserError(fmt::format(
-            "--listen {}: without a token everybody who reaches this address could use the server; "
-            "set TESSERA_TOKEN to a secret that workers and viewers share, or listen on 127.0.0.1",
+            "--listen {}: without keys everybody who reaches this address could use the server and "
+            "read what it sends; make some with `tessera keys FOLDER` and give this server "
+            "--keys FOLDER/server, or listen on 127.0.0.1",
             config.listen));
     listen_on(acceptor_, endpoint);
 }
@@ -145,8 +155,8 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
             co_await hold_session(worker, worker->run(farm_), farm_);
         } else {
             ++viewers_;
-            const auto viewer =
-                std::make_shared<ViewerSession>(*hello, connection, [this] { return status(); });
+            const auto viewer = std::make_shared<ViewerSession>(
+                *hello, connection, may_edit(*hello), [this] { return status(); });
             co_await hold_session(viewer, viewer->run(farm_, scenes_), farm_);
             --viewers_;
         }
@@ -162,11 +172,16 @@ asio::awaitable<Hello> Server::handshake(std::shared_ptr<Connection> connection)
         const auto self = weak.lock();
         if (!cancelled && self) self->close();
     });
+    const bool secured = keys_ && co_await connection->peer_begins_tls();
+    if (secured) co_await connection->secure(*keys_->tls);
     const Message message = co_await connection->receive(
         config_.handshake_deadline, {.message_bytes = max_hello_bytes, .payload_bytes = 0});
     const auto* hello = message.get<Hello>();
     if (!hello) throw ProtocolError("does not say hello first");
-    const std::string reason = objection(*hello);
+    const std::string reason = keys_ && !secured
+                                   ? "this server speaks TLS; give --keys FOLDER or set "
+                                     "TESSERA_KEYS, with keys that its operator hands out"
+                                   : objection(*hello, connection->peer_name());
     if (reason.empty()) co_return *hello;
     connection->send({Refused{reason}, {}});
     co_await connection->close_when_sent();
@@ -174,18 +189,39 @@ asio::awaitable<Hello> Server::handshake(std::shared_ptr<Connection> connection)
 }
 
 /// Why the peer is not let in, as a sentence for its user; empty when it is.
-std::string Server::objection(const Hello& hello) const {
+std::string Server::objection(const Hello& hello, const std::string& peer_name) const {
     if (hello.protocol != protocol_version)
         return fmt::format(
             "it speaks protocol version {} (build {}), this server version {} (build {}); install "
             "the same release on both",
             hello.protocol, hello.build, protocol_version, TESSERA_VERSION);
-    if (!config_.token.empty() && !same_token(hello.token, config_.token))
-        return "wrong token; set TESSERA_TOKEN to the same value as on the server";
+    if (const std::string reason = objection_to_token(hello, peer_name); !reason.empty())
+        return reason;
     if (connections_.size() - strangers_ >= config_.most_sessions)
         return fmt::format("the server is full with {} sessions; try again later",
                            config_.most_sessions);
     return {};
+}
+
+std::string Server::objection_to_token(const Hello& hello, const std::string& peer_name) const {
+    if (!keys_) {
+        const bool right = config_.token.empty() || same_token(hello.token, config_.token);
+        return right ? "" : "wrong token; set TESSERA_TOKEN to the same value as on the server";
+    }
+    const std::optional<Grant> grant = grant_of(hello.token, *keys_);
+    if (!grant)
+        return "wrong token; use a folder of the same `tessera keys` as the server's, for --keys";
+    const bool works = hello.role == Role::worker;
+    if (works != (*grant == Grant::worker))
+        return fmt::format("its token is for a {}, and it comes as a {}; use the keys of its role",
+                           grant_names[int(*grant)], works ? "worker" : "viewer");
+    if (works && peer_name != worker_common_name)
+        return "it shows no worker's certificate; use the folder `worker` that `tessera keys` made";
+    return {};
+}
+
+bool Server::may_edit(const Hello& hello) const {
+    return !keys_ || grant_of(hello.token, *keys_) == Grant::editor;
 }
 
 Status Server::status() const {

@@ -3,10 +3,13 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
+#include "common/keys.h"
 #include "server/render_farm.h"
 #include "server/scene_store.h"
 #include "server/viewer_session.h"
@@ -16,7 +19,10 @@ namespace tessera {
 
 struct ServerConfig {
     std::string listen = "127.0.0.1:7411";  ///< host:port; port 0 takes a free one
-    /// What peers must prove to know; empty: anybody may come in, on loopback only.
+    /// The folder `server` that make_keys() made: peers speak TLS and have one of its tokens.
+    /// Empty: plain TCP, on loopback only.
+    std::filesystem::path keys;
+    /// Without keys what peers must prove to know; empty: anybody may come in.
     std::string token;
     unsigned fold_threads = 2;
     std::size_t most_sessions = 1024;  ///< workers and viewers together
@@ -44,10 +50,13 @@ private:
     asio::awaitable<void> accept_peers();
     asio::awaitable<void> serve(tcp::socket socket);
     asio::awaitable<Hello> handshake(std::shared_ptr<Connection> connection);
-    std::string objection(const Hello& hello) const;
+    std::string objection(const Hello& hello, const std::string& peer_name) const;
+    std::string objection_to_token(const Hello& hello, const std::string& peer_name) const;
+    bool may_edit(const Hello& hello) const;
     Status status() const;
 
     ServerConfig config_;
+    std::optional<ServerKeys> keys_;
     asio::io_context& io_;
     tcp::acceptor acceptor_;
     std::chrono::steady_clock::time_point started_;

@@ -42,9 +42,10 @@ std::string no_open_scene(const std::string& name, const SceneStore& store) {
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
-                             std::function<Status()> status)
+                             bool may_edit, std::function<Status()> status)
     : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
+      may_edit_(may_edit),
       status_(std::move(status)),
       news_(connection_->executor()) {}
 
@@ -70,6 +71,11 @@ void ViewerSession::leave(RenderFarm& farm) {
 
 void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store) {
     if (const auto* update = message.get<SceneUpdate>()) {
+        if (!may_edit_)
+            return fail(0, fmt::format("scene {} is not taken: this viewer's keys are to look, not "
+                                       "to edit; use a scene that the server has loaded, or an "
+                                       "editor's keys",
+                                       update->scene));
         connection_->send({receiver_.update(*update), {}});
         publish_ready_scenes(farm, store);
     } else if (const auto* chunk = message.get<BlobChunk>()) {
@@ -146,7 +152,9 @@ void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
 void ViewerSession::edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store) {
     const ScenePtr scene = store.find_open(edit.scene);
     EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
-    if (scene) {
+    if (!may_edit_) {
+        result.complaints = {"this viewer's keys are to look, not to edit; use an editor's keys"};
+    } else if (scene) {
         result.complaints = store.edit(scene, edit.operations);
         result.version = scene->now.scene->version;
         farm.scene_changed(edit.scene);

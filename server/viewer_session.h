@@ -14,8 +14,8 @@ namespace tessera {
 
 class ViewerSession : public std::enable_shared_from_this<ViewerSession> {
 public:
-    /// `status` describes the whole server.
-    ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
+    /// `status` describes the whole server. Who may not edit uses the scenes that are there.
+    ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection, bool may_edit,
                   std::function<Status()> status);
 
     /// Serves the viewer; throws ProtocolError or boost::system::system_error when that ends.
@@ -53,6 +53,7 @@ private:
 
     std::string description_;
     std::shared_ptr<Connection> connection_;
+    bool may_edit_;
     std::function<Status()> status_;
     SceneReceiver receiver_;
     std::map<std::string, ScenePtr> scenes_;  ///< uploaded, by the viewer's names

@@ -103,6 +103,31 @@ grep -m 1 -q "waiting" <&3 || fail "does not say that it waits for workers"
 wait $client || fail "render that waited for a worker"
 kill $server
 
+# A server for the network: keys for each role, and for nobody else.
+unset TESSERA_TOKEN
+expect_error "tessera keys" timeout 20 "$bin/tessera-server" --listen 0.0.0.0:0
+expect_ok "keys" tessera keys "$work/keys"
+expect_error "exists already" tessera keys "$work/keys"
+"$bin/tessera-server" cornell --listen 0.0.0.0:0 --keys "$work/keys/server" >"$work/greeting" 2>"$work/server.log" &
+server=$!
+read -r _ _ address <"$work/greeting"
+address=127.0.0.1:${address##*:}
+"$bin/tessera-worker" --server "$address" --threads 1 --keys "$work/keys/worker" 2>"$work/worker.log" &
+render_there=(tessera render cornell -o "$work/tls.png" --size 64x48 --server "$address")
+expect_ok "render by TLS" "${render_there[@]}" --keys "$work/keys/editor"
+expect_ok "status by TLS" env TESSERA_KEYS="$work/keys/viewer" "$bin/tessera" status --server "$address"
+expect_error "not to edit" "${render_there[@]}" --keys "$work/keys/viewer"
+expect_error "give --keys" "${render_there[@]}"
+# The client that knows the protocol from its .proto files alone.
+minimal=$(dirname "$0")/../client/minimal.py
+if /usr/bin/python3 -c 'import google.protobuf' 2>/dev/null; then
+    expect_ok "minimal client" /usr/bin/python3 "$minimal" "$address" cornell "$work/m.ppm" --size 64x48 --keys "$work/keys/viewer"
+    [[ $(stat -c %s "$work/m.ppm") -eq $((13 + 64 * 48 * 3)) ]] || fail "no picture from the minimal client"
+else
+    echo "skipped: the minimal client in Python, for want of python3-protobuf"
+fi
+kill $server
+
 # However the client ends, its cluster ends.
 for signal in INT KILL; do
     "$bin/tessera" render office -o "$work/x.png" --size 1600x1200 --passes 5000 2>/dev/null &

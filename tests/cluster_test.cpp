@@ -28,7 +28,7 @@ struct Cluster {
 
     Cluster(int workers, int threads)
         : processes({.workers = workers, .threads = threads, .programs = TESSERA_PROGRAMS}),
-          client({.address = processes.address(), .token = processes.token()}) {}
+          client({.address = processes.address(), .credentials = processes.credentials()}) {}
 };
 
 const SceneBundle& office() {
@@ -81,7 +81,7 @@ TEST(Cluster, a_second_upload_of_the_same_scene_renders_the_same) {
 TEST(Cluster, wrong_token_is_refused_with_a_reason) {
     LocalCluster processes({.workers = 1, .threads = 1, .programs = TESSERA_PROGRAMS});
     try {
-        RenderClient client({.address = processes.address(), .token = "guess"});
+        RenderClient client({.address = processes.address(), .credentials = {"guess", nullptr}});
         FAIL() << "the server let a stranger in";
     } catch (const UserError& error) {
         EXPECT_NE(std::string(error.what()).find("token"), std::string::npos) << error.what();

@@ -125,6 +125,16 @@ TEST_F(LoadGltf, normalised_integers_become_fractions) {
     EXPECT_TRUE(has_note(loaded.notes, "gone.png"));
 }
 
+TEST_F(LoadGltf, nothing_outside_the_folder_is_read) {
+    file_.primitive({{"POSITION", file_.positions(square)}});
+    load();
+    const TempDir elsewhere;
+    const auto scene = dir_.file("a.gltf"), bytes = dir_.file("a.bin");
+    std::filesystem::rename(bytes, elsewhere.file("a.bin"));
+    std::filesystem::create_symlink(elsewhere.file("a.bin"), bytes);
+    EXPECT_NE(user_error([&] { load_gltf(scene); }).find("a.bin"), std::string::npos);
+}
+
 TEST_F(LoadGltf, sparse_accessors_replace_values) {
     const int p = file_.positions(square);
     const int indices = file_.view(std::vector<std::uint16_t>{1});

@@ -113,6 +113,19 @@ TEST_F(LoadObj, missing_materials_and_textures_are_notes) {
     EXPECT_TRUE(has_note(loaded.notes, "ghost"));
 }
 
+TEST_F(LoadObj, nothing_outside_the_folder_is_read) {
+    const TempDir elsewhere;
+    const std::filesystem::path library = elsewhere.write("b.mtl", "newmtl m\nKd 1 0 0\n");
+    std::filesystem::create_symlink(library, dir_.file("link.mtl"));
+    const std::string upwards = library.lexically_relative(dir_.file("")).string();
+    for (const std::string& name : {library.string(), upwards, std::string("link.mtl")}) {
+        const LoadedScene loaded =
+            load("mtllib " + name + "\n" + std::string(square) + "usemtl m\nf 1 2 3\n");
+        EXPECT_TRUE(has_note(loaded.notes, name + " lies outside")) << name;
+        EXPECT_TRUE(has_note(loaded.notes, "'m' is not defined")) << name;
+    }
+}
+
 TEST_F(LoadObj, degenerate_and_infinite_triangles_are_counted) {
     const LoadedScene loaded =
         load(std::string(square) + "v nan 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 2\nf 1 2 6\nf 1 2 5\n");

@@ -11,6 +11,7 @@
 #include "common/scene_sync.h"
 #include "tests/fake_answer.h"
 #include "tests/loopback.h"
+#include "tests/temp_dir.h"
 
 namespace tessera {
 namespace {
@@ -22,8 +23,11 @@ struct Host {
     asio::io_context io;
     Server server;
 
-    explicit Host(const std::string& token = "")
-        : server(io, {.listen = "127.0.0.1:0", .token = token, .handshake_deadline = 200ms}) {
+    explicit Host(const std::string& token = "", const std::filesystem::path& keys = {})
+        : server(io, {.listen = "127.0.0.1:0",
+                      .keys = keys,
+                      .token = token,
+                      .handshake_deadline = 200ms}) {
         server.start();
     }
 
@@ -31,8 +35,9 @@ struct Host {
     template <class Body>
     void run(Body body) {
         tessera::run(io, [&]() -> asio::awaitable<void> {
+            const auto stop = [this](void*) { server.stop(); };
+            const std::unique_ptr<void, decltype(stop)> at_the_end(this, stop);
             co_await body();
-            server.stop();
         });
     }
 };
@@ -256,16 +261,75 @@ TEST(Server, the_right_token_is_welcome) {
     });
 }
 
-TEST(Server, listens_beyond_loopback_only_with_a_token) {
+TEST(Server, listens_beyond_loopback_only_with_keys) {
+    const TempDir temp;
+    make_keys(temp.file("keys"));
     asio::io_context io;
-    EXPECT_THROW(Server(io, {.listen = "0.0.0.0:0", .token = ""}), UserError);
-    EXPECT_NO_THROW(Server(io, {.listen = "0.0.0.0:0", .token = "secret"}));
+    EXPECT_THROW(Server(io, {.listen = "0.0.0.0:0", .keys = {}, .token = "secret"}), UserError);
+    EXPECT_NO_THROW(
+        Server(io, {.listen = "0.0.0.0:0", .keys = temp.file("keys/server"), .token = ""}));
+}
+
+/// What the server answers to a Hello: empty when the peer is welcome, else the reason.
+asio::awaitable<std::string> answer_to(Host& host, Hello hello, std::shared_ptr<const Tls> tls) {
+    const auto peer = co_await connect(parse_address(host.server.address()), tls);
+    peer->send({hello, {}});
+    const Message answer = co_await peer->receive();
+    const auto* refused = answer.get<Refused>();
+    co_return refused ? refused->reason : "";
+}
+
+TEST(Server, keys_let_everybody_into_his_own_role) {
+    const TempDir temp;
+    make_keys(temp.file("keys"));
+    const auto keys_of = [&](const char* role) {
+        return load_credentials(temp.file("keys") / role);
+    };
+    const Credentials worker = keys_of("worker"), viewer = keys_of("viewer"),
+                      editor = keys_of("editor");
+    Host host("", temp.file("keys/server"));
+    host.run([&]() -> asio::awaitable<void> {
+        const auto expect = [&](Role role, const std::string& token, std::shared_ptr<const Tls> tls,
+                                std::string expected) -> asio::awaitable<void> {
+            Hello hello = hello_of(role);
+            hello.token = token;
+            const std::string answer = co_await answer_to(host, hello, tls);
+            EXPECT_EQ(answer.empty(), expected.empty()) << answer;
+            EXPECT_NE(answer.find(expected), std::string::npos) << answer;
+        };
+        co_await expect(Role::worker, worker.token, worker.tls, "");
+        co_await expect(Role::viewer, viewer.token, viewer.tls, "");
+        co_await expect(Role::viewer, editor.token, editor.tls, "");
+        co_await expect(Role::viewer, worker.token, worker.tls, "is for a worker");
+        co_await expect(Role::worker, viewer.token, viewer.tls, "is for a viewer");
+        co_await expect(Role::worker, worker.token, viewer.tls, "no worker's certificate");
+        co_await expect(Role::viewer, "guess", viewer.tls, "wrong token");
+        co_await expect(Role::viewer, viewer.token, nullptr, "--keys");
+    });
+}
+
+TEST(Server, who_may_only_look_brings_no_scene) {
+    const TempDir temp;
+    make_keys(temp.file("keys"));
+    const Credentials viewer = load_credentials(temp.file("keys/viewer"));
+    Host host("", temp.file("keys/server"));
+    host.run([&]() -> asio::awaitable<void> {
+        Hello hello = hello_of(Role::viewer);
+        hello.token = viewer.token;
+        const auto peer = co_await connect(parse_address(host.server.address()), viewer.tls);
+        peer->send({hello, {}});
+        SceneUpdate update{.scene = "mine", .delta = {}};
+        update.delta.next_version = 1;
+        peer->send({update, {}});
+        const Message answer = co_await receive<Failure>(peer);
+        EXPECT_NE(answer.get<Failure>()->reason.find("not to edit"), std::string::npos);
+    });
 }
 
 TEST(Server, a_port_that_is_taken_is_the_users_fault) {
     Host host;
     try {
-        Server second(host.io, {.listen = host.server.address(), .token = ""});
+        Server second(host.io, {.listen = host.server.address(), .keys = {}, .token = ""});
         FAIL() << "two servers on one port";
     } catch (const UserError& error) {
         EXPECT_NE(std::string(error.what()).find(host.server.address()), std::string::npos);

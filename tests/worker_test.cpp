@@ -22,7 +22,7 @@ public:
         return {.server = {"127.0.0.1", std::to_string(acceptor_.local_endpoint().port())},
                 .threads = 2,
                 .name = "test",
-                .token = "secret",
+                .credentials = {"secret", nullptr},
                 .attempts = std::nullopt};
     }
 

@@ -20,6 +20,7 @@ using namespace tessera;
 struct Options {
     std::string server;
     unsigned threads = std::max(std::thread::hardware_concurrency(), 1u);
+    std::string keys;
     std::string name;
     unsigned attempts = 0;
     std::string log = "info";
@@ -36,6 +37,10 @@ void declare(CLI::App& app, Options& options) {
     app.set_version_flag("--version", TESSERA_VERSION);
     app.add_option("--server", options.server, "Where tessera-server listens, HOST:PORT")
         ->required();
+    app.add_option(
+        "--keys", options.keys,
+        "Folder `worker` that `tessera keys` made, for a server that speaks TLS (default: "
+        "TESSERA_KEYS)");
     app.add_option("--threads", options.threads, "Render threads")
         ->check(CLI::Range(1u, 4096u))
         ->capture_default_str();
@@ -50,15 +55,15 @@ void declare(CLI::App& app, Options& options) {
     app.add_flag("--exit-with-parent", options.exit_with_parent,
                  "End when the process that started this one ends");
     app.footer(
-        "The environment variable TESSERA_TOKEN holds the server's token, if it asks for one.");
+        "Without keys the environment variable TESSERA_TOKEN holds the server's token, if it asks "
+        "for one.");
 }
 
 WorkerConfig config_of(const Options& options) {
-    const char* token = std::getenv("TESSERA_TOKEN");
     WorkerConfig config{.server = parse_address(options.server),
                         .threads = options.threads,
                         .name = options.name.empty() ? default_name() : options.name,
-                        .token = token ? token : "",
+                        .credentials = load_credentials(options.keys),
                         .attempts = std::nullopt};
     if (options.attempts > 0) config.attempts = options.attempts;
     return config;

@@ -25,7 +25,7 @@ asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& co
     connection.send({Hello{.protocol = protocol_version,
                            .role = Role::worker,
                            .build = TESSERA_VERSION,
-                           .token = config.token,
+                           .token = config.credentials.token,
                            .name = config.name,
                            .threads = config.threads},
                      {}});
@@ -48,7 +48,7 @@ std::chrono::milliseconds retry_delay(unsigned failures, double u) {
 }
 
 asio::awaitable<void> Worker::serve() {
-    const auto connection = co_await connect(config_.server);
+    const auto connection = co_await connect(config_.server, config_.credentials.tls);
     co_await shake_hands(*connection, config_);
     failures_ = 0;
     const auto session = std::make_shared<Session>(connection, pools_, config_.threads);

@@ -12,9 +12,9 @@ namespace tessera {
 
 struct WorkerConfig {
     Address server;
-    unsigned threads = 1;  ///< render threads
-    std::string name;      ///< for the server's logs and status
-    std::string token;     ///< the server's operator gives it out
+    unsigned threads = 1;     ///< render threads
+    std::string name;         ///< for the server's logs and status
+    Credentials credentials;  ///< the server's operator gives them out
     /// Attempts in a row that may fail before the worker gives up; none: it never does.
     std::optional<unsigned> attempts;
 };

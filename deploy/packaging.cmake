@@ -1,0 +1,42 @@
+# Debian packages, one for each role: `cmake --build build --target package` writes them to build/packages/.
+
+include(GNUInstallDirs)
+install(TARGETS tessera-server DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT server)
+install(TARGETS tessera-worker tessera-bench DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT worker)
+install(TARGETS tessera DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT client)
+foreach(role server worker)
+  install(FILES deploy/systemd/tessera-${role}.service DESTINATION lib/systemd/system COMPONENT ${role})
+  install(FILES deploy/systemd/tessera-${role}.conf DESTINATION lib/sysusers.d COMPONENT ${role})
+endforeach()
+foreach(role server worker client)
+  install(FILES LICENSE DESTINATION share/doc/tessera-${role} RENAME copyright COMPONENT ${role})
+endforeach()
+
+set(CPACK_GENERATOR DEB)
+set(CPACK_PACKAGE_NAME tessera)
+set(CPACK_PACKAGE_CONTACT "The developers of Tessera")
+set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
+set(CPACK_PACKAGE_DIRECTORY ${CMAKE_BINARY_DIR}/packages)
+set(CPACK_STRIP_FILES ON)
+set(CPACK_COMPONENTS_ALL server worker client)
+set(CPACK_DEB_COMPONENT_INSTALL ON)
+set(CPACK_DEBIAN_ENABLE_COMPONENT_DEPENDS OFF)
+set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
+set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
+set(CPACK_DEBIAN_PACKAGE_SECTION graphics)
+foreach(role SERVER WORKER CLIENT)
+  string(TOLOWER ${role} name)
+  set(CPACK_DEBIAN_${role}_PACKAGE_NAME tessera-${name})
+endforeach()
+foreach(role SERVER WORKER)
+  set(CPACK_DEBIAN_${role}_PACKAGE_CONTROL_EXTRA ${PROJECT_SOURCE_DIR}/deploy/systemd/postinst)
+endforeach()
+set(CPACK_COMPONENT_SERVER_DESCRIPTION "Render server with global illumination: the master of a cluster
+ Holds scenes and viewers' frames and spreads the work over tessera-workers.")
+set(CPACK_COMPONENT_WORKER_DESCRIPTION "Render server with global illumination: a worker of a cluster
+ Traces tiles for a tessera-server; holds the tracer's benchmarks, too.")
+set(CPACK_COMPONENT_CLIENT_DESCRIPTION "Render server with global illumination: the command tessera
+ Renders, looks and measures on a tessera-server; on its own machine when
+ tessera-server and tessera-worker are installed there.")
+set(CPACK_DEBIAN_CLIENT_PACKAGE_RECOMMENDS "tessera-server, tessera-worker")
+include(CPack)
