@@ -325,6 +325,7 @@ class Chromium:
 
     def screenshot(self, folder, name):
         if folder:
+            self.value("new Promise(shown => requestAnimationFrame(() => requestAnimationFrame(() => shown())))")
             with open(os.path.join(folder, f"{name}.png"), "wb") as file:
                 file.write(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
 

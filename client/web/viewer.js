@@ -1,6 +1,9 @@
 // The page of tessera-web: shows a view that the server keeps rendering, moves its camera, picks
 // and drags objects, edits materials and lights. What it says and hears, client/web_viewer.h tells.
 
+const element = id => document.getElementById(id);
+const canvas = element("picture"), context = canvas.getContext("2d");
+
 // ---- Vectors ------------------------------------------------------------------------------------
 
 const add = (a, b) => a.map((x, i) => x + b[i]);
@@ -33,9 +36,13 @@ function orbited(camera, [x, y]) {
   return {...camera, eye: sub(camera.at, rotated(lifted, up, -Math.PI * x))};
 }
 
+/** Tangent of half the angle that is seen from bottom to top: in an upright window more than the camera says, which is
+    then from side to side. */
+const opening = camera => Math.tan(camera.fov * Math.PI / 360) * Math.max(1, canvas.clientHeight / canvas.clientWidth);
+
 function panned(camera, [x, y]) {
   const {right, up} = axes(camera);
-  const height = 2 * length(sub(camera.at, camera.eye)) * Math.tan(camera.fov * Math.PI / 360);
+  const height = 2 * length(sub(camera.at, camera.eye)) * opening(camera);
   const by = scale(add(scale(right, x), scale(up, y)), -height);
   return {...camera, eye: add(camera.eye, by), at: add(camera.at, by)};
 }
@@ -54,8 +61,8 @@ function flown(camera, [x, y, z]) {
 
 /** Where the ray through a point of the picture meets the ground plane through `p`, or null. */
 function onGround(camera, [x, y], p) {
-  const {right, up, forward} = axes(camera), half = Math.tan(camera.fov * Math.PI / 360);
-  const direction = add(forward, scale(add(scale(right, x), scale(up, y)), half));
+  const {right, up, forward} = axes(camera);
+  const direction = add(forward, scale(add(scale(right, x), scale(up, y)), opening(camera)));
   const t = dot(sub(p, camera.eye), camera.up) / dot(direction, camera.up);
   return t > 0 && Number.isFinite(t) ? add(camera.eye, scale(direction, t)) : null;
 }
@@ -72,8 +79,6 @@ const hueOf = rgb => strengthOf(rgb) > 0 ? scale(rgb, 1 / strengthOf(rgb)) : [1,
 
 // ---- What is shown --------------------------------------------------------------------------------
 
-const element = id => document.getElementById(id);
-const canvas = element("picture"), context = canvas.getContext("2d");
 const quickPixels = 450000;  // pictures of more pixels are made smaller unless the user says otherwise
 
 let about = null;      // scene, cameras, lights, selection, as the gateway tells
@@ -94,7 +99,7 @@ function pictureSize() {
 
 function currentView() {
   const {exposure, filmic, channel, reference} = display;
-  const {eye, at, up, fov} = camera;
+  const {eye, at, up} = camera, fov = Math.atan(opening(camera)) * 360 / Math.PI;
   return {camera: {eye, at, up, fov}, size: pictureSize(), exposure, filmic, channel, reference};
 }
 
@@ -297,6 +302,7 @@ const show = {
   latency: plotRow(element("statistics"), "latency"),
   error: plotRow(element("statistics"), "error"),
   cluster: textRow(element("statistics"), "cluster"),
+  viewers: textRow(element("statistics"), "viewers"),
 };
 
 function buildDisplay(parent) {
@@ -321,12 +327,13 @@ function showStatistics() {
   show.speed(`${rate.toFixed(1)} passes/s, ${rays.toFixed(1)} Mrays/s`);
   show.first(series.first, `${newest(series.first).toFixed(0)} ms`);
   show.latency(series.latency, `${newest(series.latency).toFixed(0)} ms`);
-  show.error(series.error, newest(series.error).toFixed(4));
+  show.error(series.error, series.error.length ? newest(series.error).toFixed(4) : "");
 }
 
 function showStatus(status) {
   const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
-  show.cluster(`${many(status.workers, "worker")}, ${many(status.threads, "thread")}, ${many(status.viewers, "viewer")}`);
+  show.cluster(`${many(status.workers, "worker")}, ${many(status.threads, "thread")}`);
+  show.viewers(`${status.viewers}`);
   const now = performance.now();
   while (drawnAt.length && drawnAt[0] < now - 2000) drawnAt.shift();
   show.frames(`${(drawnAt.length / 2).toFixed(1)} per second`);
@@ -420,7 +427,9 @@ function savePicture() {
 
 const fingers = new Map();  // pointer -> where it was last
 let gesture = "none";       // or orbit, pan, asking, object
-let moved = 0;              // pixels since the first went down
+let began = null;           // where the first went down
+let moved = 0;              // pixels from there, at most
+let asking = null;          // what lies there, soon
 let grip = null;            // what is held: {instance, point, origin}
 
 /** (0, 0) is the picture's centre, (0, 1) the middle of its upper edge. */
@@ -444,29 +453,27 @@ canvas.onpointerdown = async event => {
   if (!camera) return;
   canvas.setPointerCapture(event.pointerId);
   document.activeElement.blur();
-  if (fingers.size === 0) moved = 0;
+  if (fingers.size === 0) [began, moved] = [event, 0];
   fingers.set(event.pointerId, {x: event.x, y: event.y});
   canvas.classList.add("dragging");
   gesture = fingers.size > 1 || event.button !== 0 || event.shiftKey ? "pan" : "orbit";
   if (gesture !== "orbit" || !about.selection) return;
   // What is selected is taken hold of.
   gesture = "asking";
-  const picked = await pick(picturePoint(event));
+  asking = pick(picturePoint(event));
+  const picked = await asking;
   if (gesture !== "asking") return;
   grip = picked;
   gesture = picked.instance && picked.instance === about.selection?.instance ? "object" : "orbit";
 };
 
 canvas.onpointermove = event => {
-  const last = fingers.get(event.pointerId);
-  if (!last) return;
-  const from = middle(), wide = spread();
-  const height = canvas.clientHeight;
-  if (gesture === "asking") return;
+  if (!fingers.has(event.pointerId)) return;
+  moved = Math.max(moved, Math.hypot(event.x - began.x, event.y - began.y));
+  if (moved < 4 || gesture === "asking") return;
+  const from = middle(), wide = spread(), height = canvas.clientHeight;
   fingers.set(event.pointerId, {x: event.x, y: event.y});
-  moved += Math.hypot(event.x - last.x, event.y - last.y);
   const to = middle(), by = [(to.x - from.x) / height, (from.y - to.y) / height];
-  if (moved < 4) return;
   if (gesture === "orbit") camera = orbited(camera, by);
   if (gesture === "pan") camera = panned(camera, by);
   if (gesture === "object") dragSelection(picturePoint(event));
@@ -474,6 +481,11 @@ canvas.onpointermove = event => {
 };
 
 canvas.onpointerup = canvas.onpointercancel = async event => {
+  // A drag may be over before it is known of what.
+  if (gesture === "asking" && moved >= 4) {
+    await asking;
+    canvas.onpointermove(event);
+  }
   if (!fingers.delete(event.pointerId)) return;
   const click = event.type === "pointerup" && event.button === 0 && moved < 4 && gesture !== "pan";
   // The finger that is left does not begin to turn the view.
@@ -504,7 +516,7 @@ function dragSelection(point) {
 const down = new Set();
 
 const keys = {
-  Tab: togglePanel,
+  KeyT: togglePanel,
   KeyH: () => { element("help").open = !element("help").open; },
   KeyP: savePicture,
   Home: () => { camera = about.home; },
@@ -513,7 +525,7 @@ const keys = {
 };
 
 window.onkeydown = event => {
-  const typing = event.target.matches("input, select, button, summary") && event.code !== "Escape";
+  const typing = event.target.matches("select") || (event.target.matches("input") && event.code === "Home");
   if (typing || !about || event.ctrlKey || event.metaKey || event.altKey) return;
   down.add(event.code);
   if (!keys[event.code]) return;
