@@ -289,6 +289,7 @@ private:
             tcp::socket socket =
                 co_await acceptor_.async_accept(asio::redirect_error(asio::use_awaitable, error));
             // Of too many, the last finds the door closed.
+            if (!error) socket.set_option(tcp::no_delay(true), error);
             if (error || sockets_.size() >= config_.browsers + most_fetching) continue;
             asio::co_spawn(io_, serve(std::move(socket)), asio::detached);
         }

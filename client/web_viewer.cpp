@@ -168,6 +168,7 @@ WebViewer::WebViewer(const WebViewerConfig& config)
                 ? framing_camera(
                       scene_bounds({scene(), client_.fetch_blobs(scene_name_, scene().meshes)}))
                 : scene().cameras.front();
+    tell_about();
 }
 
 // ---- What the page says -------------------------------------------------------------------------
@@ -242,7 +243,8 @@ const Picker& WebViewer::picker() {
 // ---- What the page hears ------------------------------------------------------------------------
 
 std::vector<PageMessage> WebViewer::news(std::chrono::milliseconds patience) {
-    client_.poll(patience);
+    // What is to be told already does not wait.
+    client_.poll(news_.empty() ? patience : std::chrono::milliseconds(0));
     if (client_.scene().version != told_version_) tell_about();
     for (const std::string& complaint : client_.take_complaints())
         tell(PageNews::notice, {{"notice", complaint}});
