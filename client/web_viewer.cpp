@@ -48,6 +48,12 @@ double number_of(const json& value, double most) {
     return number;
 }
 
+std::uint32_t count_of(const json& value) {
+    const double count = number_of(value, 4e9);
+    if (count < 0) throw PageError(fmt::format("{} is out of range", count));
+    return std::uint32_t(count);
+}
+
 vec3 vec3_of(const json& value) {
     const auto at = [&](int i) { return float(number_of(value.at(i), most_coordinate)); };
     return {at(0), at(1), at(2)};
@@ -196,7 +202,7 @@ void WebViewer::hear(const json& message) {
         wanted_.tone_map.curve =
             view.at("filmic").get<bool>() ? ToneCurve::filmic : ToneCurve::srgb;
         wanted_.shown = channel_of(view.at("channel"));
-        wanted_.stamp = view.at("stamp").get<std::uint32_t>();
+        wanted_.stamp = count_of(view.at("stamp"));
     } else if (message.contains("shown")) {
         unshown_ = std::max(unshown_ - 1, 0);
     } else if (message.contains("pick")) {
@@ -214,7 +220,7 @@ void WebViewer::hear(const json& message) {
 void WebViewer::pick(const json& message) {
     const json& point = message.at("pick");
     const auto at = [&](int i) { return float(number_of(point.at(i), 100)); };
-    json answer = {{"number", message.at("number").get<std::uint32_t>()}};
+    json answer = {{"number", count_of(message.at("number"))}};
     if (const auto picked =
             picker().pick(scene(), eye_ray(wanted_.spec.camera, vec2(at(0), at(1))))) {
         const Instance& instance = scene().instances[picked->instance];

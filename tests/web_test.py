@@ -218,7 +218,7 @@ def test_nonsense(cluster):
                      view(about, size=[0, 10]), view(about, size=[8000, 8000]), view(about, size=[1e300, 1]),
                      view(about, channel="x"), view(about, exposure=1e9), view(about, exposure="1"),
                      view(about, camera={**home, "at": eye}), view(about, camera={**home, "eye": [1e300, 0, 0]}),
-                     view(about, stamp="x")]:
+                     view(about, stamp="x"), view(about, stamp=-1), view(about, stamp=1e300)]:
         page = cluster.open()
         hear(page, "about")
         page.send(nonsense)
