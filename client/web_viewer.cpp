@@ -88,24 +88,6 @@ Channel channel_of(const json& value) {
 
 // ---- To JSON ------------------------------------------------------------------------------------
 
-json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
-
-json json_of(const Camera& c) {
-    return {{"name", c.name},
-            {"eye", json_of(c.eye)},
-            {"at", json_of(c.at)},
-            {"up", json_of(c.up)},
-            {"fov", c.fov_y}};
-}
-
-json json_of(const Material& m) {
-    return {{"name", m.name},
-            {"base_color", json_of(m.base_color)},
-            {"metallic", m.metallic},
-            {"roughness", m.roughness},
-            {"emission", json_of(m.emission)}};
-}
-
 /// Lights, and surfaces that emit, with the edit that sets their strength.
 json lights_of(const Scene& scene) {
     json out = json::array();
