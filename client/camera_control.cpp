@@ -83,4 +83,12 @@ Ray eye_ray(const Camera& camera, const vec2& point) {
             .dir = normalize(axes.forward + half * (point.x * axes.right + point.y * axes.up))};
 }
 
+std::optional<vec2> projected(const Camera& camera, const vec3& p) {
+    const Axes axes = axes_of(camera);
+    const vec3 to = p - camera.eye;
+    const float distance = dot(to, axes.forward) * std::tan(glm::radians(camera.fov_y) / 2);
+    if (!(distance > 0)) return std::nullopt;
+    return vec2(dot(to, axes.right), dot(to, axes.up)) / distance;
+}
+
 }  // namespace tessera

@@ -3,6 +3,8 @@
 // same in any window; no gesture makes a camera that looks nowhere or along its own up direction.
 #pragma once
 
+#include <optional>
+
 #include "common/scene.h"
 
 namespace tessera {
@@ -21,5 +23,7 @@ Camera flown(const Camera& camera, const vec3& by);
 /// The ray through a point of the picture: (0, 0) is its centre, (0, 1) the middle of its upper
 /// edge. `dir` is a unit vector.
 Ray eye_ray(const Camera& camera, const vec2& point);
+/// Where the ray to `p` goes through the picture; nothing when `p` is behind the eye.
+std::optional<vec2> projected(const Camera& camera, const vec3& p);
 
 }  // namespace tessera

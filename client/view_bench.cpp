@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -52,11 +53,10 @@ double quantile(std::vector<double> values, double q) {
 class ViewBench {
 public:
     ViewBench(const ViewBenchOptions& options, RenderClient& client, const Camera& camera)
-        : options_(options), client_(client) {
+        : options_(options), client_(client), camera_(camera) {
         view_.request = 1;
         view_.spec.scene = options.scene;
         view_.spec.size = options.camera.size;
-        view_.spec.camera = camera;
         view_.spec.settings.passes = 1u << 20;
         view_.format = PictureFormat::srgb8;
     }
@@ -98,9 +98,10 @@ public:
     }
 
 private:
+    /// To and fro, so that all frames are about as much work.
     void turn() {
-        view_.spec.camera = orbited(view_.spec.camera, {0.01f, 0});
         ++view_.stamp;
+        view_.spec.camera = orbited(camera_, {0.02f * std::sin(0.7f * float(view_.stamp)), 0});
         client_.show(view_);
     }
 
@@ -134,6 +135,7 @@ private:
 
     const ViewBenchOptions& options_;
     RenderClient& client_;
+    Camera camera_;
     View view_;
     std::uint64_t version_ = 0;
     float offset_ = 0;

@@ -23,7 +23,7 @@ inline constexpr int panel_width = 330;
 struct ViewerMemory {
     WindowConfig window;
     std::map<std::string, Camera> cameras;  ///< by scene
-    ToneMap tone_map{.curve = ToneCurve::filmic, .exposure = 0};
+    ToneMap tone_map{.curve = ToneCurve::filmic, .exposure = 0.7f};
     bool panel = true;
 };
 
@@ -81,6 +81,7 @@ private:
     void draw_display();
     void draw_cameras();
     void draw_selection();
+    void draw_selected_box();
     void draw_material(const Material& material);
     void draw_lights();
     void draw_workers();

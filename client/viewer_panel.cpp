@@ -2,6 +2,7 @@
 // looked at least.
 #include <fmt/format.h>
 
+#include "client/camera_control.h"
 #include "client/viewer.h"
 
 namespace tessera {
@@ -96,6 +97,7 @@ const char* name_of(Channel channel) {
 }  // namespace
 
 void Viewer::draw_controls() {
+    draw_selected_box();
     if (memory_.panel) draw_panel();
     if (help_) draw_help();
     draw_notice();
@@ -178,6 +180,26 @@ void Viewer::draw_selection() {
     }
     for (const std::uint32_t m : object.materials)
         if (scene().materials[m].name == material_) return draw_material(scene().materials[m]);
+}
+
+/// The edges of the selection's bounds, over the picture.
+void Viewer::draw_selected_box() {
+    const Instance* instance = selected();
+    if (!instance || !picker_) return;
+    const Box box = picker_->bounds(scene(), *instance);
+    const SDL_Rect area = picture_area();
+    const auto corner = [&](int i) -> std::optional<ImVec2> {
+        const auto at =
+            projected(camera_, {i & 1 ? box.hi.x : box.lo.x, i & 2 ? box.hi.y : box.lo.y,
+                                i & 4 ? box.hi.z : box.lo.z});
+        if (!at) return std::nullopt;
+        const vec2 pixel = 0.5f * (vec2(area.w, area.h) + float(area.h) * vec2(at->x, -at->y));
+        return ImVec2(pixel.x, pixel.y);
+    };
+    for (int i = 0; i < 8; ++i)
+        for (int axis = 1; axis <= 4; axis *= 2)
+            if (const auto a = corner(i), b = corner(i | axis); !(i & axis) && a && b)
+                ImGui::GetBackgroundDrawList()->AddLine(*a, *b, IM_COL32(237, 158, 71, 150));
 }
 
 void Viewer::draw_material(const Material& material) {

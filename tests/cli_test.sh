@@ -88,7 +88,7 @@ expect_error "output" tessera render cornell
 # A server of one's own: no workers at first, a port that is taken, status, a wrong token.
 export TESSERA_TOKEN=secret
 mkfifo "$work/greeting" "$work/notes"
-"$bin/tessera-server" --listen 127.0.0.1:0 >"$work/greeting" 2>"$work/server.log" &
+"$bin/tessera-server" cornell --listen 127.0.0.1:0 >"$work/greeting" 2>"$work/server.log" &
 server=$!
 read -r _ _ address <"$work/greeting"
 expect_error "in use" timeout 20 "$bin/tessera-server" --listen "$address"
@@ -101,6 +101,26 @@ exec 3<"$work/notes"  # stays open, so that the client may go on writing
 grep -m 1 -q "waiting" <&3 || fail "does not say that it waits for workers"
 "$bin/tessera-worker" --server "$address" --threads 1 2>"$work/worker.log" &
 wait $client || fail "render that waited for a worker"
+
+# The server's own scene, changed by scripts and looked at without a screen.
+edit() { tessera edit --server "$address" "$@"; }
+expect_ok "edit list" edit list --json
+grep -q '"name": "short block"' "$work/out" || fail "edit list misses the short block"
+expect_ok "edit move" edit move "short block" 0.1,0,0.2
+expect_ok "edit set" edit --scene cornell set material white base_color=0.5,0.6,0.7 roughness=0.5
+edit list >"$work/out"
+grep -q 'short block *at 0.1,0,0.2' "$work/out" || fail "the block has not moved"
+grep -q 'white *base_color=0.5,0.6,0.7 metallic=0 roughness=0.5' "$work/out" || fail "white has not changed"
+echo '[{"edits": [{"create": "third", "object": "short block"}]}, {"time": 0.1, "edits": [{"delete": "third"}]}]' >"$work/edits.json"
+expect_ok "edit play" edit play "$work/edits.json"
+expect_error "nobody" edit move nobody 0,0,0
+expect_error "no material 'nobody'" edit set material nobody roughness=1
+expect_error "roughness must be" edit set material white roughness=2
+expect_error "no open scene 'elsewhere'" edit --scene elsewhere list
+expect_ok "view" env SDL_VIDEODRIVER=dummy timeout 60 "$bin/tessera" view --server "$address" --size 400x300 --frames 2 --screenshot "$work/view.png"
+[[ -s $work/view.png ]] || fail "view makes no screenshot"
+expect_ok "bench view" tessera bench view cornell --size 64x48 --changes 2 --threads 1 --json "$work/latency.json"
+grep -q '"latency_first_s"' "$work/latency.json" || fail "bench view does not tell the latency"
 kill $server
 
 # A server for the network: keys for each role, and for nobody else.

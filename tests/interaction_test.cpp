@@ -71,6 +71,19 @@ TEST(CameraControl, panning_keeps_the_point_under_the_pointer) {
     EXPECT_NEAR(up.dir.y, -up.dir.z, 1e-6f);
 }
 
+TEST(CameraControl, a_point_lies_on_the_ray_through_its_projection) {
+    Gestures gestures;
+    Camera camera{.name = {}, .eye = {0, 1, 5}, .at = {0, 1, 0}};
+    for (int i = 0; i < 100; ++i) {
+        camera = gestures.moved(camera);
+        const Ray ray = eye_ray(camera, gestures.drag());
+        const auto point = projected(camera, ray.org + 3.0f * ray.dir);
+        ASSERT_TRUE(point);
+        EXPECT_NEAR(dot(eye_ray(camera, *point).dir, ray.dir), 1, 1e-5f);
+        EXPECT_FALSE(projected(camera, ray.org - ray.dir));
+    }
+}
+
 Mesh triangle() {
     Mesh mesh;
     mesh.positions = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
