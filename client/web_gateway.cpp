@@ -346,10 +346,10 @@ private:
                 fmt::format("all {} places are taken", config_.browsers));
             co_return co_await stream.async_close(full, asio::use_awaitable);
         }
-        ++browsers_;
-        spdlog::info("a browser joins: {} of {}", browsers_, config_.browsers);
         const auto browser = std::make_shared<Browser>(io_.get_executor(), config_.viewer);
         browser->start();
+        ++browsers_;
+        spdlog::info("a browser joins: {} of {}", browsers_, config_.browsers);
         bool told = false;
         Bell told_bell(io_.get_executor());
         asio::co_spawn(io_, tell(stream, *browser), [&](std::exception_ptr error) {
@@ -380,7 +380,8 @@ private:
         for (;;) {
             co_await stream.async_read(buffer, asio::use_awaitable);
             while (!browser.listens() && !browser.ended()) co_await browser.wait();
-            browser.say(beast::buffers_to_string(buffer.data()));
+            // What comes while the close frame is under way has no one to hear it.
+            if (!browser.ended()) browser.say(beast::buffers_to_string(buffer.data()));
             buffer.clear();
         }
     }
