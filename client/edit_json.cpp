@@ -204,8 +204,6 @@ EditOperation operation_of(Fields& fields, const Scene& scene) {
         "no edit: set, move, transform, create, create light, delete or delete light is wanted");
 }
 
-json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
-
 json parse_file(const std::string& file) {
     std::ifstream in(file);
     if (!in) complain("{}: cannot be read", file);
@@ -274,6 +272,24 @@ const char* light_kind_name(LightKind kind) {
     return "light";
 }
 
+json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
+
+json json_of(const Material& m) {
+    return {{"name", m.name},
+            {"base_color", json_of(m.base_color)},
+            {"metallic", m.metallic},
+            {"roughness", m.roughness},
+            {"emission", json_of(m.emission)}};
+}
+
+json json_of(const Camera& c) {
+    return {{"name", c.name},
+            {"eye", json_of(c.eye)},
+            {"at", json_of(c.at)},
+            {"up", json_of(c.up)},
+            {"fov", c.fov_y}};
+}
+
 json json_of(const Scene& scene) {
     json out = {{"objects", json::array()},
                 {"instances", json::array()},
@@ -287,12 +303,7 @@ json json_of(const Scene& scene) {
                                     {"object", scene.objects[i.object].name},
                                     {"world_from_object", std::vector<float>(m, m + 16)}});
     }
-    for (const Material& m : scene.materials)
-        out["materials"].push_back({{"name", m.name},
-                                    {"base_color", json_of(m.base_color)},
-                                    {"metallic", m.metallic},
-                                    {"roughness", m.roughness},
-                                    {"emission", json_of(m.emission)}});
+    for (const Material& m : scene.materials) out["materials"].push_back(json_of(m));
     for (const Light& l : scene.lights)
         out["lights"].push_back({{"name", l.name},
                                  {"kind", light_kind_name(l.kind)},
@@ -301,12 +312,7 @@ json json_of(const Scene& scene) {
                                  {"intensity", json_of(l.intensity)},
                                  {"inner_angle", l.inner_angle},
                                  {"outer_angle", l.outer_angle}});
-    for (const Camera& c : scene.cameras)
-        out["cameras"].push_back({{"name", c.name},
-                                  {"eye", json_of(c.eye)},
-                                  {"at", json_of(c.at)},
-                                  {"up", json_of(c.up)},
-                                  {"fov", c.fov_y}});
+    for (const Camera& c : scene.cameras) out["cameras"].push_back(json_of(c));
     return out;
 }
 

@@ -37,6 +37,9 @@ struct TimedEdit {
 std::vector<TimedEdit> load_timed_edits(const std::string& file, Scene scene);
 
 const char* light_kind_name(LightKind kind);
+nlohmann::json json_of(const vec3& v);
+nlohmann::json json_of(const Material& material);
+nlohmann::json json_of(const Camera& camera);
 nlohmann::json json_of(const Scene& scene);
 
 }  // namespace tessera

@@ -49,11 +49,17 @@ struct PictureAssembly {
         std::memcpy(bytes.data() + next.offset, payload.data(), payload.size());
     }
 
-    ShownPicture picture(const ViewPicture& about) const {
+    ShownPicture picture(const ViewPicture& about, bool keep_jpeg) const {
         const ImageSize size{int(chunk.width), int(chunk.height)};
-        ShownPicture out{
-            .about = about, .shown = chunk.channel, .size = size, .srgb8 = {}, .linear = {}};
-        if (chunk.format == PictureFormat::jpeg) {
+        ShownPicture out{.about = about,
+                         .shown = chunk.channel,
+                         .size = size,
+                         .srgb8 = {},
+                         .linear = {},
+                         .jpeg = {}};
+        if (chunk.format == PictureFormat::jpeg && keep_jpeg) {
+            out.jpeg = bytes;
+        } else if (chunk.format == PictureFormat::jpeg) {
             out.srgb8 = decode_jpeg(bytes, size);
         } else if (chunk.format == PictureFormat::srgb8) {
             out.srgb8.resize(bytes.size());
@@ -168,7 +174,7 @@ struct RenderClient::State {
         const auto view = assemblies.find(body.request);
         if (view == assemblies.end() || view->second.bytes.empty()) return;
         try {
-            picture = view->second.picture(body);
+            picture = view->second.picture(body, config.keep_jpeg);
         } catch (const std::runtime_error& error) {
             throw ProtocolError(error.what());
         }
@@ -306,6 +312,10 @@ void RenderClient::poll(std::chrono::milliseconds patience) {
     state_->complaints.insert(state_->complaints.end(), state_->failures.begin(),
                               state_->failures.end());
     state_->failures.clear();
+}
+
+void RenderClient::wake() {
+    asio::post(state_->io, [] {});
 }
 
 void RenderClient::show(const View& view) {

@@ -34,12 +34,14 @@ struct ShownPicture {
     ImageSize size;
     std::vector<std::uint8_t> srgb8;  ///< unless PictureFormat::linear_float was asked for
     Image linear;
+    Bytes jpeg;  ///< instead of srgb8, with RenderClientConfig::keep_jpeg
 };
 
 struct RenderClientConfig {
     std::string address;  ///< host:port
     Credentials credentials;
     std::function<void()> tick = [] {};
+    bool keep_jpeg = false;  ///< pictures that arrive as JPEG stay as they are
 };
 
 class RenderClient {
@@ -76,6 +78,8 @@ public:
     /// Handles what has arrived, or arrives within `patience`. Throws UserError when the server is
     /// lost.
     void poll(std::chrono::milliseconds patience);
+    /// Ends the patience of a `poll`; from any thread.
+    void wake();
     /// Begins the view or changes it (View::request is the client's to choose, 1 is a good number).
     void show(const View& view);
     /// The newest picture of any view, unless it has been taken.
