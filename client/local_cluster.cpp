@@ -91,15 +91,16 @@ std::string read_line(int fd, Clock::time_point deadline) {
 
 LocalCluster::LocalCluster(const LocalClusterConfig& config)
     : config_(config), token_(random_token()) {
+    const std::string own_pid = std::to_string(getpid());
     int out[2];
     if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
-    children_.push_back(
-        {.pid = spawn("tessera-server",
-                      {"--listen", "127.0.0.1:0", "--log", config.log_level, "--exit-with-parent"},
-                      out[1]),
-         .name = "server",
-         .server = true,
-         .ended = {}});
+    children_.push_back({.pid = spawn("tessera-server",
+                                      {"--listen", "127.0.0.1:0", "--log", config.log_level,
+                                       "--exit-with-parent", own_pid},
+                                      out[1]),
+                         .name = "server",
+                         .server = true,
+                         .ended = {}});
     close(out[1]);
     const std::string line = read_line(out[0], Clock::now() + start_timeout);
     close(out[0]);
@@ -114,10 +115,11 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
     const int threads = config.threads > 0 ? config.threads : std::max(1, cores / config.workers);
     for (int i = 0; i < config.workers; ++i) {
         const std::string name = fmt::format("worker-{}", i + 1);
-        const pid_t pid = spawn("tessera-worker",
-                                {"--server", address_, "--threads", std::to_string(threads),
-                                 "--name", name, "--log", config.log_level, "--exit-with-parent"},
-                                STDERR_FILENO);
+        const pid_t pid =
+            spawn("tessera-worker",
+                  {"--server", address_, "--threads", std::to_string(threads), "--name", name,
+                   "--log", config.log_level, "--exit-with-parent", own_pid},
+                  STDERR_FILENO);
         children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
     }
 }

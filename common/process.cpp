@@ -9,8 +9,7 @@
 
 namespace tessera {
 
-void end_with_parent() {
-    const pid_t parent = getppid();
+void end_with_parent(pid_t parent) {
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     // A parent that ended before the call above sends no signal: somebody else has adopted us.
     if (getppid() != parent) std::_Exit(EXIT_FAILURE);

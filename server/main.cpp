@@ -21,7 +21,7 @@ struct Options {
     std::vector<std::string> scenes;
     ServerConfig config;
     std::string log_level = "info";
-    bool exit_with_parent = false;
+    pid_t parent = 0;
 };
 
 /// Buffers of a frame come and go with every frame: their pages are kept, because getting them from
@@ -80,10 +80,11 @@ int main(int argc, char** argv) {
     app.add_option("--log", options.log_level, "how much to log")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();
-    app.add_flag("--exit-with-parent", options.exit_with_parent,
-                 "end when the process that started this one ends");
+    app.add_option("--exit-with-parent", options.parent,
+                   "end when the process that started this one ends, and has this number")
+        ->type_name("PID");
     CLI11_PARSE(app, argc, argv);
-    if (options.exit_with_parent) end_with_parent();
+    if (options.parent != 0) end_with_parent(options.parent);
     if (const char* token = std::getenv("TESSERA_TOKEN")) options.config.token = token;
     try {
         start_log("server", options.log_level);

@@ -162,5 +162,9 @@ for signal in INT KILL; do
     done
 done
 
+# Even one that had only begun to start.
+timeout 20 "$bin/tessera-worker" --server 127.0.0.1:1 --exit-with-parent 1 2>/dev/null
+[[ $? -eq 1 ]] || fail "a worker goes on without the parent that started it"
+
 [[ $failures -eq 0 ]] && echo "all good"
 exit "$failures"

@@ -24,7 +24,7 @@ struct Options {
     std::string name;
     unsigned attempts = 0;
     std::string log = "info";
-    bool exit_with_parent = false;
+    pid_t parent = 0;
 };
 
 std::string default_name() {
@@ -52,8 +52,9 @@ void declare(CLI::App& app, Options& options) {
     app.add_option("--log", options.log, "Least level that is logged")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();
-    app.add_flag("--exit-with-parent", options.exit_with_parent,
-                 "End when the process that started this one ends");
+    app.add_option("--exit-with-parent", options.parent,
+                   "End when the process that started this one ends, and has this number")
+        ->type_name("PID");
     app.footer(
         "Without keys the environment variable TESSERA_TOKEN holds the server's token, if it asks "
         "for one.");
@@ -102,7 +103,7 @@ int main(int argc, char** argv) {
     Options options;
     declare(app, options);
     CLI11_PARSE(app, argc, argv);
-    if (options.exit_with_parent) end_with_parent();
+    if (options.parent != 0) end_with_parent(options.parent);
     start_log("tessera-worker", options.log);
     try {
         serve(config_of(options));
