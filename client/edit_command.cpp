@@ -51,13 +51,7 @@ public:
             throw UserError(fmt::format("{}", fmt::join(result.complaints, "; ")));
     }
 
-    /// Waits, and goes on with the network meanwhile.
-    void wait_until(Clock::time_point time) {
-        while (Clock::now() < time)
-            client_.poll(
-                std::min(std::chrono::milliseconds(100),
-                         std::chrono::ceil<std::chrono::milliseconds>(time - Clock::now())));
-    }
+    void wait_until(Clock::time_point time) { client_.wait_until(time); }
 
 private:
     Interrupt interrupt_;

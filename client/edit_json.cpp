@@ -117,14 +117,20 @@ EditOperation material_of(const std::string& name, const json& values) {
     return edit;
 }
 
+/// Of a light, or of what changes one.
+template <class T>
+void read_light(Fields& fields, T& light) {
+    fields.read("position", light.position);
+    fields.read("direction", light.direction);
+    fields.read("intensity", light.intensity);
+    fields.read("inner_angle", light.inner_angle);
+    fields.read("outer_angle", light.outer_angle);
+}
+
 EditOperation light_of(const std::string& name, const json& values) {
     SetLight edit{.light = name};
     Fields fields(values);
-    fields.read("position", edit.position);
-    fields.read("direction", edit.direction);
-    fields.read("intensity", edit.intensity);
-    fields.read("inner_angle", edit.inner_angle);
-    fields.read("outer_angle", edit.outer_angle);
+    read_light(fields, edit);
     fields.check_all_read();
     return edit;
 }
@@ -136,11 +142,7 @@ EditOperation new_light_of(const std::string& name, const json& values) {
     fields.read("kind", kind);
     if (!light_kinds.contains(kind)) complain("light kind `{}`: point, spot or directional", kind);
     light.kind = light_kinds.at(kind);
-    fields.read("position", light.position);
-    fields.read("direction", light.direction);
-    fields.read("intensity", light.intensity);
-    fields.read("inner_angle", light.inner_angle);
-    fields.read("outer_angle", light.outer_angle);
+    read_light(fields, light);
     fields.check_all_read();
     return CreateLight{light};
 }

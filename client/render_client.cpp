@@ -314,6 +314,13 @@ void RenderClient::poll(std::chrono::milliseconds patience) {
     state_->failures.clear();
 }
 
+void RenderClient::wait_until(std::chrono::steady_clock::time_point time) {
+    using namespace std::chrono;
+    while (steady_clock::now() < time)
+        poll(std::clamp(ceil<milliseconds>(time - steady_clock::now()), milliseconds(0),
+                        tick_interval));
+}
+
 void RenderClient::wake() {
     asio::post(state_->io, [] {});
 }

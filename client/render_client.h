@@ -63,6 +63,9 @@ public:
 
     Status status();
 
+    /// Waits, and goes on with the network meanwhile.
+    void wait_until(std::chrono::steady_clock::time_point time);
+
     /// Makes a scene that this client has uploaded open to all.
     void share_scene(const std::string& name);
     /// Holds an open scene from now on: the newest version that has arrived.

@@ -5,7 +5,6 @@
 
 #include <chrono>
 #include <nlohmann/json.hpp>
-#include <thread>
 
 #include "client/commands.h"
 #include "client/interrupt.h"
@@ -13,9 +12,6 @@
 
 namespace tessera {
 namespace {
-
-/// How often a watcher looks whether the user interrupts.
-constexpr auto tick = std::chrono::milliseconds(50);
 
 struct StatusOptions {
     std::string server;
@@ -91,15 +87,13 @@ void print_table(const Status& status, const Status* before) {
 }
 
 /// Draws the table anew again and again, until the user interrupts.
-void watch(RenderClient& client, Interrupt& interrupt, const StatusOptions& options) {
+void watch(RenderClient& client, const StatusOptions& options) {
+    using Clock = std::chrono::steady_clock;
+    const auto interval = std::chrono::duration_cast<Clock::duration>(
+        std::chrono::duration<double>(options.interval));
     Status before = client.status();
     for (;;) {
-        const auto next =
-            std::chrono::steady_clock::now() + std::chrono::duration<double>(options.interval);
-        while (std::chrono::steady_clock::now() < next) {
-            interrupt.check();
-            std::this_thread::sleep_for(tick);
-        }
+        client.wait_until(Clock::now() + interval);
         const Status now = client.status();
         if (isatty(STDOUT_FILENO)) fmt::print("\x1b[H\x1b[J");
         options.json ? print_json(now) : print_table(now, &before);
@@ -113,7 +107,7 @@ void run(const StatusOptions& options) {
     RenderClient client({.address = options.server,
                          .credentials = load_credentials(options.keys),
                          .tick = [&] { interrupt.check(); }});
-    if (options.watch) watch(client, interrupt, options);
+    if (options.watch) watch(client, options);
     const Status status = client.status();
     options.json ? print_json(status) : print_table(status, nullptr);
 }

@@ -95,7 +95,7 @@ void RectFilter::prepare(int y) {
                          .x = x0,
                          .corner = rays_.corner + float(y) * rays_.down,
                          .across = rays_.across};
-    tessera::prepare(pixels, std::size_t(x0 - rect_.x0 + reach_), out);
+    prepare_row(pixels, std::size_t(x0 - rect_.x0 + reach_), out);
 }
 
 }  // namespace

@@ -12,13 +12,14 @@ namespace tessera {
 namespace HWY_NAMESPACE {
 
 namespace hn = hwy::HWY_NAMESPACE;
+using enum GuideRow::Guide;
 
 constexpr hn::CappedTag<float, block_pixels> tag;
 using Float = hn::Vec<decltype(tag)>;
 using Mask = hn::Mask<decltype(tag)>;
 
 HWY_INLINE Float load(const GuideRow& row, int guide, std::size_t at) {
-    return hn::LoadU(tag, row[Guide(guide)] + at);
+    return hn::LoadU(tag, row[GuideRow::Guide(guide)] + at);
 }
 
 /// A pixel in each lane, and what is the same for all its taps.
@@ -81,7 +82,7 @@ void filter_all_lanes(const FilterWindow& window, std::size_t x, float (&out)[3 
 
 void prepare_lanes(const PassRow& pixels, std::size_t first, std::size_t at, GuideRow& out) {
     const auto put = [&](int guide, Float value) {
-        hn::StoreU(value, tag, out[Guide(guide)] + at);
+        hn::StoreU(value, tag, out[GuideRow::Guide(guide)] + at);
     };
     Float e[3], n[3];
     hn::LoadInterleaved3(tag, pixels.irradiance + 3 * first, e[0], e[1], e[2]);
@@ -121,7 +122,7 @@ void prepare_last(const PassRow& pixels, std::size_t first, std::size_t at, Guid
     std::fill_n(out[valid] + at + left, hn::Lanes(tag) - left, 0.0f);
 }
 
-void prepare_row(const PassRow& pixels, std::size_t at, GuideRow& out) {
+void prepare_all_lanes(const PassRow& pixels, std::size_t at, GuideRow& out) {
     const std::size_t lanes = hn::Lanes(tag), whole = pixels.count / lanes * lanes;
     for (std::size_t i = 0; i < whole; i += lanes) prepare_lanes(pixels, i, at + i, out);
     if (whole < pixels.count) prepare_last(pixels, whole, at + whole, out);
@@ -135,14 +136,14 @@ HWY_AFTER_NAMESPACE();
 namespace tessera {
 
 HWY_EXPORT(filter_all_lanes);
-HWY_EXPORT(prepare_row);
+HWY_EXPORT(prepare_all_lanes);
 
 void filter_block(const FilterWindow& window, std::size_t x, float (&out)[3 * block_pixels]) {
     HWY_DYNAMIC_DISPATCH(filter_all_lanes)(window, x, out);
 }
 
-void prepare(const PassRow& pixels, std::size_t at, GuideRow& out) {
-    HWY_DYNAMIC_DISPATCH(prepare_row)(pixels, at, out);
+void prepare_row(const PassRow& pixels, std::size_t at, GuideRow& out) {
+    HWY_DYNAMIC_DISPATCH(prepare_all_lanes)(pixels, at, out);
 }
 
 }  // namespace tessera

@@ -14,26 +14,26 @@ namespace tessera {
 inline constexpr std::size_t block_pixels = 16;
 
 /// What is known of the pixels of a row.
-enum Guide {
-    red,  // irradiance
-    green,
-    blue,
-    nx,  // normal
-    ny,
-    nz,
-    px,  // hit relative to the eye, as if seen directly
-    py,
-    pz,
-    depth,
-    plane,    // dot(normal, hit)
-    surface,  // bits of a number
-    valid,    // bits, all ones where irradiance is finite
-    guide_count
-};
-
 class GuideRow {
 public:
-    /// Holds `width` pixels, and what prepare() may write behind them.
+    enum Guide {
+        red,  // irradiance
+        green,
+        blue,
+        nx,  // normal
+        ny,
+        nz,
+        px,  // hit relative to the eye, as if seen directly
+        py,
+        pz,
+        depth,
+        plane,    // dot(normal, hit)
+        surface,  // bits of a number
+        valid,    // bits, all ones where irradiance is finite
+        guide_count
+    };
+
+    /// Holds `width` pixels, and what prepare_row() may write behind them.
     explicit GuideRow(std::size_t width)
         : width_(width + block_pixels), values_(guide_count * width_) {}
 
@@ -69,7 +69,7 @@ struct PassRow {
 };
 
 /// Fills `out` from `at` with the pixels.
-void prepare(const PassRow& pixels, std::size_t at, GuideRow& out);
+void prepare_row(const PassRow& pixels, std::size_t at, GuideRow& out);
 
 /// Sets `out` to the filtered irradiance of the pixels from x; all of them must be in the rows.
 /// In one plane is what keeps within plane_tolerance of it, or differs in depth by no more than the

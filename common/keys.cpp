@@ -4,6 +4,7 @@
 #include <sys/random.h>
 #include <sys/stat.h>
 
+#include <algorithm>
 #include <boost/asio/ssl/context.hpp>
 #include <cerrno>
 #include <cstdlib>

@@ -9,6 +9,7 @@
 // Without keys peers speak plain TCP, which is for loopback only.
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <map>
 #include <memory>

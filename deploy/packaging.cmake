@@ -3,7 +3,7 @@
 include(GNUInstallDirs)
 install(TARGETS tessera-server DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT server)
 install(TARGETS tessera-worker tessera-bench DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT worker)
-install(TARGETS tessera tessera-web DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT client)
+install(TARGETS tessera tessera-sim tessera-web DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT client)
 foreach(role server worker)
   install(FILES deploy/systemd/tessera-${role}.service DESTINATION lib/systemd/system COMPONENT ${role})
   install(FILES deploy/systemd/tessera-${role}.conf DESTINATION lib/sysusers.d COMPONENT ${role})
