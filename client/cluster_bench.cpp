@@ -9,6 +9,7 @@
 #include <functional>
 #include <sstream>
 
+#include "client/fault_proxy.h"
 #include "client/load_viewer.h"
 #include "client/progress_bar.h"
 #include "client/synthetic_worker.h"
@@ -48,6 +49,7 @@ public:
     ClusterBenchRow measure();
 
 private:
+    std::string route(const std::string& server);
     void render_expected();
     void inject(const std::string& kind, std::vector<int>& victims);
     std::vector<LoadFrame> all_frames() const;
@@ -59,6 +61,8 @@ private:
     const ClusterBenchConfig& config_;
     const SceneBundle& bundle_;
     Interrupt& interrupt_;
+    std::vector<std::unique_ptr<FaultProxy>>
+        proxies_;  ///< one for each real worker, where asked for
     LocalCluster processes_;
     std::vector<pid_t> real_workers_;
     std::optional<SyntheticWorkers> synthetic_;
@@ -74,9 +78,10 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
       processes_({.workers = config.synthetic ? 0 : config.workers,
                   .threads = config.threads,
                   .log_level = "error",
+                  .route = [this](int, const std::string& server) { return route(server); },
                   .programs = {}}),
       real_workers_(processes_.workers()) {
-    client_ = {.address = processes_.address(),
+    client_ = {.address = config.link ? route(processes_.address()) : processes_.address(),
                .credentials = processes_.credentials(),
                .tick = [this] { interrupt_.check(); }};
     if (config.synthetic)
@@ -94,6 +99,15 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
         script_->views.push_back(request);
     }
     render_expected();
+}
+
+/// The address by which to reach the server over a link of its own.
+std::string Load::route(const std::string& server) {
+    if (!config_.link && config_.cuts.empty()) return server;
+    LinkConfig link = config_.link.value_or(LinkConfig{});
+    link.seed += 1000 * std::uint32_t(proxies_.size());
+    proxies_.push_back(std::make_unique<FaultProxy>(parse_address(server), link));
+    return proxies_.back()->address();
 }
 
 /// Renders every view undisturbed, once all workers take part.
@@ -136,6 +150,7 @@ ClusterBenchRow Load::measure() {
     std::vector<std::pair<double, std::string>> faults;
     for (const double at : config_.kills) faults.emplace_back(at, "kill");
     for (const double at : config_.hangs) faults.emplace_back(at, "hang");
+    for (const double at : config_.cuts) faults.emplace_back(at, "cut");
     std::sort(faults.begin(), faults.end());
     std::vector<int> victims;
     std::vector<Clock::time_point> fault_times;
@@ -192,6 +207,8 @@ void Load::inject(const std::string& kind, std::vector<int>& victims) {
     const bool kills = kind == "kill";
     if (synthetic_)
         kills ? synthetic_->kill(victim) : synthetic_->hang(victim);
+    else if (kind == "cut")
+        proxies_[std::size_t(victim)]->cut();
     else
         ::kill(real_workers_[std::size_t(victim)], kills ? SIGKILL : SIGSTOP);
 }
