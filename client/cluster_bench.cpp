@@ -179,10 +179,12 @@ ClusterBenchRow Load::measure() {
     if (failure) std::rethrow_exception(failure);
 
     // Sum up.
-    row.seconds = elapsed();
+    const double cpu_used = cpu_seconds(processes_.server()) - cpu_before;
     const std::vector<LoadFrame> frames = all_frames();
+    for (const LoadFrame& frame : frames)
+        row.seconds = std::max(row.seconds, seconds_between(start, frame.done));
     const double tiles = std::max(1.0, double(frames.size()) * tasks_per_frame());
-    row.server_cpu_s_per_tile = (cpu_seconds(processes_.server()) - cpu_before) / tiles;
+    row.server_cpu_s_per_tile = cpu_used / tiles;
     summarise(row, frames);
     if (synthetic_) {
         const SyntheticTraffic traffic = synthetic_->traffic();
@@ -238,7 +240,7 @@ void Load::summarise(ClusterBenchRow& row, const std::vector<LoadFrame>& frames)
     row.frames = frames.size();
     row.first = percentiles(first);
     row.final = percentiles(final);
-    row.frames_per_s = double(frames.size()) / row.seconds;
+    if (!frames.empty()) row.frames_per_s = double(frames.size()) / row.seconds;
     row.tiles_per_s = row.frames_per_s * tasks_per_frame();
     if (config_.synthetic && config_.tile_seconds > 0)
         row.ideal_tiles_per_s = config_.workers * config_.threads / config_.tile_seconds;

@@ -45,7 +45,7 @@ struct FaultReport {
 
 struct ClusterBenchRow {
     ClusterBenchConfig config;
-    double seconds = 0;
+    double seconds = 0;  ///< until the last frame was done
     std::uint64_t frames = 0;
     double frames_per_s = 0;
     double tiles_per_s = 0;
