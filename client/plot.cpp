@@ -104,7 +104,7 @@ private:
         if (series.line)
             svg_ += fmt::format("<polyline points=\"{}\" fill=\"none\" stroke=\"{}\"/>\n", points,
                                 color);
-        text(margin + 12, margin + 16 * double(place + 1), "start", color, series.name);
+        text(margin + 200 * double(place), 44, "start", color, series.name);
     }
 
     Axis x_, y_;
