@@ -245,7 +245,15 @@ void Load::summarise(ClusterBenchRow& row, const std::vector<LoadFrame>& frames)
     if (config_.synthetic && config_.tile_seconds > 0)
         row.ideal_tiles_per_s = config_.workers * config_.threads / config_.tile_seconds;
     std::uint64_t received = 0;
-    for (const auto& viewer : viewers_) received += viewer->bytes_received();
+    std::vector<double> shares;
+    for (const auto& viewer : viewers_) {
+        received += viewer->bytes_received();
+        shares.push_back(double(viewer->frames().size() * viewers_.size()) /
+                         std::max(1.0, double(frames.size())));
+    }
+    const auto [least, most] = std::ranges::minmax(shares);
+    row.least_share = least;
+    row.most_share = most;
     row.bytes_to_viewer = double(received) / std::max(1.0, double(frames.size()));
     const std::uint32_t per_task = passes_per_task(config_.spec.settings);
     row.bytes_from_workers = double(config_.spec.size.pixels()) * sizeof(float) *

@@ -49,6 +49,8 @@ struct ClusterBenchRow {
     std::uint64_t frames = 0;
     double frames_per_s = 0;
     double tiles_per_s = 0;
+    /// Frames of the viewer that got fewest, and of the one that got most, against the mean.
+    double least_share = 1, most_share = 1;
     std::optional<double> ideal_tiles_per_s;  ///< of synthetic workers that never wait
     Percentiles first, final;
     double server_cpu_s_per_tile = 0;

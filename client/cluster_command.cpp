@@ -72,6 +72,9 @@ void print_row(const ClusterBenchRow& row, std::optional<double> efficiency) {
                efficiency ? fmt::format("{:.3f}", *efficiency) : "-", times(row.first),
                times(row.final), 1e6 * row.server_cpu_s_per_tile,
                1e-6 * (row.bytes_from_workers + row.bytes_to_viewer), row.wrong_pixels);
+    if (row.config.viewers > 1)
+        fmt::print("        frames of each viewer: {:.2f} to {:.2f} of the mean\n", row.least_share,
+                   row.most_share);
     for (const FaultReport& fault : row.faults)
         fmt::print("        {} after {:.2f} s: that frame {:.1f} ms later\n", fault.kind, fault.at,
                    1e3 * fault.recovery);
@@ -91,6 +94,7 @@ nlohmann::json json_of(const ClusterBenchRow& row, std::optional<double> efficie
                            {"synthetic", row.config.synthetic},
                            {"tile_seconds", row.config.tile_seconds},
                            {"viewers", row.config.viewers},
+                           {"viewer_shares", {row.least_share, row.most_share}},
                            {"in_flight", row.config.in_flight},
                            {"width", row.config.spec.size.width},
                            {"height", row.config.spec.size.height},
