@@ -119,7 +119,7 @@ asio::awaitable<void> FaultProxy::connect(std::shared_ptr<Relay> relay) {
     }
 }
 
-asio::awaitable<void> FaultProxy::take(std::shared_ptr<Relay> relay, Direction& direction) {
+asio::awaitable<void> FaultProxy::take(std::shared_ptr<Relay> /*relay*/, Direction& direction) {
     std::vector<std::byte> buffer(piece_bytes);
     for (;;) {
         while (direction.bytes > most_bytes && direction.from.is_open())

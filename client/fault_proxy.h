@@ -31,6 +31,7 @@ private:
 
     asio::awaitable<void> accept();
     asio::awaitable<void> connect(std::shared_ptr<Relay> relay);
+    // Both hold the relay, whose direction they serve.
     asio::awaitable<void> take(std::shared_ptr<Relay> relay, Direction& direction);
     asio::awaitable<void> deliver(std::shared_ptr<Relay> relay, Direction& direction);
 

@@ -21,7 +21,7 @@ struct LocalClusterConfig {
     std::string log_level = "warning";
     std::string trace = {};  ///< file for the timeline of the last frame; empty: none
     /// Where worker i, from 0, is to find the server at the given address; empty: there.
-    std::function<std::string(int, const std::string&)> route;
+    std::function<std::string(int, const std::string&)> route = {};
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };
