@@ -8,7 +8,7 @@
 
 #include "server/picture_parts.h"
 #include "server/render_farm.h"
-#include "server/scene_store.h"
+#include "server/scene_writer.h"
 
 namespace tessera {
 
@@ -19,18 +19,19 @@ public:
                   std::function<Status()> status);
 
     /// Serves the viewer; throws ProtocolError or boost::system::system_error when that ends.
-    asio::awaitable<void> run(RenderFarm& farm, SceneStore& store);
+    asio::awaitable<void> run(RenderFarm& farm, SceneStore& store, SceneWriter& writer);
     /// To be called after `run`: ends the viewer's frames and gives up its scenes.
     void leave(RenderFarm& farm);
 
     const std::string& description() const { return description_; }  ///< for logs
 
 private:
-    void handle(Message message, RenderFarm& farm, SceneStore& store);
+    void handle(Message message, RenderFarm& farm, SceneStore& store, SceneWriter& writer);
+    asio::awaitable<void> wait_for_writes(std::size_t most);
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
-    void share(const SceneShare& share, RenderFarm& farm, SceneStore& store);
+    void share(const SceneShare& share, RenderFarm& farm, SceneWriter& writer);
     void watch(const SceneWatch& watch, SceneStore& store);
-    void edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store);
+    void edit(const SceneEdit& edit, SceneStore& store, SceneWriter& writer);
     void send_blobs_of(const BlobRequest& request, SceneStore& store);
     void show(const View& view, RenderFarm& farm, SceneStore& store);
     void end_view(std::uint64_t request);
@@ -63,6 +64,8 @@ private:
     std::uint64_t pictures_sent_ = 0;
     std::uint64_t pictures_read_ = 0;  ///< as far as the viewer has said
     asio::steady_timer news_;          ///< cancelled whenever there is something to tell
+    std::size_t unwritten_ = 0;        ///< changes that are not in the journal yet
+    asio::steady_timer written_;       ///< cancelled whenever there are fewer
     unsigned blob_requests_ = 0;       ///< being answered
     std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
 };
