@@ -18,6 +18,8 @@ struct LocalClusterConfig {
     int workers = 1;
     int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
     std::string log_level = "warning";
+    std::vector<std::string> scenes{};  ///< that the server holds
+    std::filesystem::path journal{};    ///< of the server; empty: none
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };
@@ -37,6 +39,11 @@ public:
     std::vector<pid_t> workers() const;
     /// The server's process, to be watched.
     pid_t server() const { return children_.front().pid; }
+
+    /// Ends the server with SIGKILL; what it has not written is lost.
+    void kill_server();
+    /// Starts it again, at the same address, once it has been killed.
+    void start_server();
 
     /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
     void check_alive();

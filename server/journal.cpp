@@ -144,6 +144,8 @@ struct Journal::State {
                            number("PRAGMA application_id") == 0;
         if (!fresh) check_format();
         exec("PRAGMA journal_mode = WAL");
+        // Nothing may be written elsewhere, and there is little to sort.
+        exec("PRAGMA temp_store = MEMORY");
         // Every commit waits until it is on the disk.
         exec("PRAGMA synchronous = FULL");
         exec("BEGIN EXCLUSIVE");
@@ -195,7 +197,17 @@ struct Journal::State {
 
     // ---- Reading ----
 
+    /// Records that are whole may still be too few: the tables must agree with their indices.
+    void check_tables() {
+        Statement query(database, "PRAGMA integrity_check(1)");
+        query.step();
+        const auto result = query.bytes(0);
+        const std::string text(reinterpret_cast<const char*>(result.data()), result.size());
+        if (text != "ok") throw std::runtime_error(text);
+    }
+
     std::vector<ReadyScene> restore() {
+        check_tables();
         std::vector<ReadyScene> out;
         Statement query(database, "SELECT id, name FROM scene ORDER BY id");
         while (query.step()) {

@@ -28,6 +28,11 @@ constexpr std::uint64_t most_unread_pictures = 2;
 asio::awaitable<std::vector<PicturePart>> make_parts(const FinishedFrame& frame) {
     co_return parts_of(frame);
 }
+/// Null when these are no sums of such a frame.
+asio::awaitable<std::shared_ptr<FrameSums>> resumed(const FrameSpec& spec, const Bytes& saved) {
+    const auto sums = std::make_shared<FrameSums>(spec);
+    co_return sums->resume(saved) ? sums : nullptr;
+}
 asio::awaitable<PicturePart> make_part(const LivePicture& picture) { co_return part_of(picture); }
 
 std::string no_scene(const std::string& name, const SceneStore& store) {
@@ -64,6 +69,8 @@ asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store, Sc
         if (message.get<FrameRequest>()) co_await wait_for_writes(0);
         const bool shares = message.get<SceneShare>();
         handle(std::move(message), farm, store, writer);
+        if (resuming_ && resuming_->sums.size() == resuming_->request.sums_bytes)
+            co_await resume_frame(farm, store);
         // What follows may be about the scene that is shared.
         co_await wait_for_writes(shares ? 0 : most_unwritten);
     }
@@ -114,7 +121,11 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
     } else if (const auto* ended = message.get<ViewEnd>()) {
         end_view(ended->request);
     } else if (const auto* request = message.get<FrameRequest>()) {
-        begin_frame(*request, farm, store);
+        request->sums_bytes > 0 ? expect_sums(*request) : begin_frame(*request, farm, store);
+    } else if (const auto* sums = message.get<SumsChunk>()) {
+        add_sums(*sums, message.payload.bytes);
+    } else if (const auto* save = message.get<FrameSave>()) {
+        save_frame(save->request, farm);
     } else if (const auto* cancel = message.get<FrameCancel>()) {
         cancel_frame(cancel->request, farm);
     } else if (message.get<StatusRequest>()) {
@@ -294,7 +305,69 @@ asio::awaitable<void> ViewerSession::send_part(const PicturePart& part) {
     }
 }
 
-void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store) {
+void ViewerSession::expect_sums(const FrameRequest& request) {
+    if (resuming_) throw ProtocolError("sends sums of two frames at once");
+    if (request.sums_bytes != FrameSums::saved_bytes(request.spec))
+        throw ProtocolError(fmt::format("announces {} bytes of sums for a frame that has {}",
+                                        request.sums_bytes, FrameSums::saved_bytes(request.spec)));
+    resuming_ = {.request = request, .sums = {}};
+}
+
+void ViewerSession::add_sums(const SumsChunk& chunk, std::span<const std::byte> bytes) {
+    if (!resuming_ || chunk.request != resuming_->request.request ||
+        chunk.total != resuming_->request.sums_bytes || chunk.offset != resuming_->sums.size())
+        throw ProtocolError("sends sums that no frame waits for");
+    resuming_->sums.insert(resuming_->sums.end(), bytes.begin(), bytes.end());
+}
+
+asio::awaitable<void> ViewerSession::resume_frame(RenderFarm& farm, SceneStore& store) {
+    const Resuming whole = std::move(*resuming_);
+    resuming_.reset();
+    const auto sums = co_await asio::co_spawn(farm.pool(), resumed(whole.request.spec, whole.sums),
+                                              asio::use_awaitable);
+    if (sums)
+        begin_frame(whole.request, farm, store, sums);
+    else
+        fail(whole.request.request, "the sums are none of such a frame; begin it anew");
+}
+
+/// One at a time, so that what waits to be sent stays bounded.
+void ViewerSession::save_frame(std::uint64_t request, RenderFarm& farm) {
+    const auto found = frames_.find(request);
+    if (found == frames_.end() || frames_.contains(saving_)) return;
+    saving_ = request;
+    farm.save_frame(found->second, [weak = weak_from_this(), request](SavedFrame saved) {
+        const auto self = weak.lock();
+        if (!self) return;
+        asio::co_spawn(self->connection_->executor(), self->send_sums(request, std::move(saved)),
+                       asio::detached);
+    });
+}
+
+asio::awaitable<void> ViewerSession::send_sums(std::uint64_t request, SavedFrame saved) {
+    const auto self = shared_from_this();
+    SumsChunk chunk{.request = request,
+                    .offset = 0,
+                    .total = saved.sums ? saved.sums->size() : 0,
+                    .render_seconds = saved.render_seconds,
+                    .rays = saved.rays};
+    try {
+        do {
+            const std::size_t size = std::min<std::size_t>(chunk_bytes, chunk.total - chunk.offset);
+            const auto bytes = saved.sums ? std::span(*saved.sums).subspan(chunk.offset, size)
+                                          : std::span<const std::byte>();
+            co_await connection_->wait_until_drained(chunk_bytes);
+            connection_->send_bulk({chunk, {saved.sums, bytes}});
+            chunk.offset += size;
+        } while (chunk.offset < chunk.total);
+    } catch (const boost::system::system_error&) {
+        // The viewer has gone.
+    }
+    saving_ = 0;
+}
+
+void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store,
+                                std::shared_ptr<FrameSums> sums) {
     const auto own = scenes_.find(request.spec.scene);
     const ScenePtr scene = own != scenes_.end() ? own->second : store.find_open(request.spec.scene);
     if (!scene) return fail(request.request, no_scene(request.spec.scene, store));
@@ -325,7 +398,8 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
                  if (!self) return;
                  self->frames_.erase(number);
                  self->fail(number, reason);
-             }});
+             }},
+        std::move(sums));
 }
 
 void ViewerSession::cancel_frame(std::uint64_t request, RenderFarm& farm) {

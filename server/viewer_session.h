@@ -35,7 +35,13 @@ private:
     void send_blobs_of(const BlobRequest& request, SceneStore& store);
     void show(const View& view, RenderFarm& farm, SceneStore& store);
     void end_view(std::uint64_t request);
-    void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store);
+    void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store,
+                     std::shared_ptr<FrameSums> sums = {});
+    void expect_sums(const FrameRequest& request);
+    void add_sums(const SumsChunk& chunk, std::span<const std::byte> bytes);
+    asio::awaitable<void> resume_frame(RenderFarm& farm, SceneStore& store);
+    void save_frame(std::uint64_t request, RenderFarm& farm);
+    asio::awaitable<void> send_sums(std::uint64_t request, SavedFrame saved);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
     asio::awaitable<void> send_frame(FinishedFrame frame, asio::any_io_executor pool);
@@ -68,6 +74,13 @@ private:
     asio::steady_timer written_;       ///< cancelled whenever there are fewer
     unsigned blob_requests_ = 0;       ///< being answered
     std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
+    /// A frame that goes on from sums which are still on their way.
+    struct Resuming {
+        FrameRequest request;
+        Bytes sums;
+    };
+    std::optional<Resuming> resuming_;
+    std::uint64_t saving_ = 0;  ///< request whose sums are being saved or sent; 0: none
 };
 
 }  // namespace tessera

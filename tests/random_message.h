@@ -203,7 +203,13 @@ private:
                 .format = one_of(PictureFormat::srgb8),
                 .tone_map = {.curve = one_of(ToneCurve::filmic), .exposure = real()},
                 .time_limit = amount(),
-                .error_limit = amount()};
+                .error_limit = amount(),
+                .sums_bytes = big()};
+    }
+    FrameSave make_one(FrameSave) { return {.request = big()}; }
+    SumsChunk make_one(SumsChunk) {
+        return {
+            .request = big(), .offset = 0, .total = 0, .render_seconds = amount(), .rays = big()};
     }
     FrameCancel make_one(FrameCancel) { return {.request = big()}; }
     FrameProgress make_one(FrameProgress) {
