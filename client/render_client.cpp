@@ -227,6 +227,8 @@ struct RenderClient::State {
     void on(const SumsChunk& body, std::span<const std::byte> bytes) {
         if (body.request != rendering.request.request) return;
         if (body.offset == 0) arriving = {};
+        if (body.offset != arriving.sums.size())
+            throw ProtocolError("sums that do not come in order");
         arriving.sums.insert(arriving.sums.end(), bytes.begin(), bytes.end());
         arriving.render_seconds = body.render_seconds;
         arriving.rays = body.rays;

@@ -89,6 +89,7 @@ std::uint64_t RenderFarm::begin_frame(const FrameRequest& request, const ReadySc
     auto job =
         std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums));
     Job& begun = *job;
+    begun.error_estimate = begun.sums->error_estimate();
     jobs_[last_frame_] = std::move(job);
     scheduler_.add_frame(numbered.spec, begun.assembler.run_limit(), begun.sums->runs());
     sync_scene(scene.name);

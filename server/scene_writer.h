@@ -22,7 +22,7 @@ using Complaints = std::vector<std::string>;
 
 class SceneWriter {
 public:
-    /// All of them outlive the writer. `journal` may be null.
+    /// Store and farm outlive the writer. `journal` may be null; its scenes are opened.
     SceneWriter(SceneStore& store, RenderFarm& farm, std::unique_ptr<Journal> journal);
     /// Finishes what is being written; nobody hears of it.
     ~SceneWriter();
