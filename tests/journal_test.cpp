@@ -3,6 +3,7 @@
 
 #include "server/journal.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <signal.h>
 #include <sys/resource.h>
@@ -25,7 +26,7 @@ SceneBundle small_scene(float size) {
     bundle.scene.objects.push_back({.name = "o", .mesh = add_mesh(bundle, mesh), .materials = {0}});
     bundle.scene.materials.emplace_back();
     for (int i = 0; i < 20; ++i)
-        bundle.scene.instances.push_back({.name = "instance " + std::to_string(i)});
+        bundle.scene.instances.push_back({.name = fmt::format("instance {}", i)});
     return bundle;
 }
 
@@ -91,7 +92,7 @@ TEST(Journal, whatever_is_committed_is_there_after_a_kill) {
     for (int round = 0; round < 60; ++round) {
         std::vector<SceneChange> changes = {scenes.edits("a", 1 + round % 5)};
         if (round % 3 == 0) changes.push_back(scenes.edit("b, with a \" and a \n"));
-        if (round % 20 == 0) changes.push_back(scenes.add("c" + std::to_string(round)));
+        if (round % 20 == 0) changes.push_back(scenes.add(fmt::format("c{}", round)));
         journal.commit(changes);
         if (round % 10 == 9) expect_restored(killed_now(dir, "j"), scenes);
     }
