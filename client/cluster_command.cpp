@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <cstdlib>
+#include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
 
@@ -10,6 +12,8 @@
 #include "client/cluster_bench.h"
 #include "client/commands.h"
 #include "client/plot.h"
+#include "client/progress_bar.h"
+#include "client/restart_bench.h"
 #include "common/check.h"
 #include "common/scene_bounds.h"
 #include "common/scene_io.h"
@@ -31,6 +35,8 @@ struct ClusterOptions {
     int views = 4;
     std::string json, csv, svg;
     bool simulate = false;
+    int server_kills = 0;
+    double server_down = 0;
 };
 
 /// Steps to the side, each a fiftieth of the distance to what the camera looks at.
@@ -221,6 +227,76 @@ void run(const ClusterOptions& options) {
     if (!right) throw UserError("pixels differ from those of an undisturbed frame");
 }
 
+// ---- Restarts -----------------------------------------------------------------------------------
+
+/// A folder that is gone afterwards.
+class TemporaryFolder {
+public:
+    TemporaryFolder() {
+        std::string pattern =
+            (std::filesystem::temp_directory_path() / "tessera-bench-XXXXXX").string();
+        if (!mkdtemp(pattern.data())) throw UserError("cannot make a folder in " + pattern);
+        path_ = pattern;
+    }
+    ~TemporaryFolder() {
+        std::error_code ignored;
+        std::filesystem::remove_all(path_, ignored);
+    }
+    TemporaryFolder(const TemporaryFolder&) = delete;
+    TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+    const std::filesystem::path& path() const { return path_; }
+
+private:
+    std::filesystem::path path_;
+};
+
+void print_restarts(const RestartReport& report, const ClusterOptions& options) {
+    const std::vector<std::pair<std::string, std::vector<double>>> times = {
+        {"edit to its acknowledgement", report.acknowledge_seconds},
+        {"restart to listening", report.start_seconds},
+        {"restart to first picture at the viewer", report.picture_seconds}};
+    fmt::print("{} kills, {} edits acknowledged, {} of them lost\n", report.kills, report.edits,
+               report.lost);
+    nlohmann::json json = {{"version", TESSERA_VERSION},
+                           {"kills", report.kills},
+                           {"edits_acknowledged", report.edits},
+                           {"edits_lost", report.lost}};
+    for (const auto& [what, seconds] : times) {
+        const Percentiles p = percentiles(seconds);
+        fmt::print("{:<40} p50 {:.1f}, p95 {:.1f}, p99 {:.1f}, max {:.1f} ms\n", what, 1e3 * p.p50,
+                   1e3 * p.p95, 1e3 * p.p99, 1e3 * p.max);
+        json["seconds"][what] = json_of(p);
+    }
+    write(options.json, json.dump(2) + '\n');
+}
+
+void restart(const ClusterOptions& options) {
+    Interrupt interrupt;
+    ProgressBar bar;
+    RestartReport report;
+    const TemporaryFolder folder;
+    const RestartBenchConfig config{
+        .cluster = {.workers = 1,
+                    .threads = options.config.threads,
+                    .log_level = "error",
+                    .journal = folder.path() / "journal",
+                    .programs = {}},
+        .kills = options.server_kills,
+        .down_seconds = options.server_down,
+        .tick = [&](int kills) {
+            interrupt.check();
+            bar.show(std::uint64_t(kills), std::uint64_t(options.server_kills),
+                     fmt::format("{} edits, {} lost", report.edits, report.lost));
+        }};
+    try {
+        bench_restarts(config, report);
+    } catch (const Interrupted&) {
+        bar.note("interrupted: the results so far");
+    }
+    print_restarts(report, options);
+    if (report.lost > 0) throw UserError("edits that were acknowledged are lost");
+}
+
 [[noreturn]] void simulate(const ClusterOptions& options, std::vector<std::string> arguments) {
     if (!options.json.empty()) arguments.insert(arguments.end(), {"--json", options.json});
     become("tessera-sim", arguments);
@@ -292,6 +368,17 @@ void add_cluster_command(CLI::App* bench) {
     command->add_option("--views", o.views, "cameras on the path")
         ->check(CLI::Range(1, 64))
         ->capture_default_str();
+    auto* kills =
+        command
+            ->add_option("--server-kills", o.server_kills,
+                         "instead: kill the server so many times while edits come, and look for "
+                         "every edit that it has acknowledged")
+            ->check(CLI::Range(1, 1000000));
+    command
+        ->add_option("--server-down", o.server_down,
+                     "with it: seconds until the server is started again")
+        ->check(CLI::Range(0.0, 3600.0))
+        ->needs(kills);
     command->add_option("--json", o.json, "write the results to this file");
     command->add_option("--csv", o.csv, "and to this one");
     command->add_option("--svg", o.svg, "plot tiles a second against workers to this file");
@@ -302,7 +389,7 @@ void add_cluster_command(CLI::App* bench) {
         if (options->simulate) simulate(*options, command->remaining());
         if (!command->remaining().empty())
             throw UserError(fmt::format("bench cluster knows no {}", command->remaining().front()));
-        run(*options);
+        options->server_kills > 0 ? restart(*options) : run(*options);
     });
 }
 

@@ -33,7 +33,8 @@ public:
     explicit Editor(const EditOptions& options)
         : client_({.address = options.server,
                    .credentials = load_credentials(options.keys),
-                   .tick = [this] { interrupt_.check(); }}),
+                   .tick = [this] { interrupt_.check(); },
+                   .reconnects = true}),
           scene_(options.scene) {
         const std::vector<std::string>& known = client_.welcome().scenes;
         if (scene_.empty() && known.size() == 1) scene_ = known.front();

@@ -90,26 +90,10 @@ std::string read_line(int fd, Clock::time_point deadline) {
 }  // namespace
 
 LocalCluster::LocalCluster(const LocalClusterConfig& config)
-    : config_(config), token_(random_token()) {
+    : config_(config), token_(random_token()), address_("127.0.0.1:0") {
     const std::string own_pid = std::to_string(getpid());
-    int out[2];
-    if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
-    std::vector<std::string> arguments{"--listen",       "127.0.0.1:0",        "--log",
-                                       config.log_level, "--exit-with-parent", own_pid};
-    if (!config.trace.empty()) arguments.insert(arguments.end(), {"--trace", config.trace});
-    children_.push_back({.pid = spawn("tessera-server", arguments, out[1]),
-                         .name = "server",
-                         .server = true,
-                         .ended = {}});
-    close(out[1]);
-    const std::string line = read_line(out[0], Clock::now() + start_timeout);
-    close(out[0]);
-    constexpr std::string_view greeting = "listening on ";
-    if (!line.starts_with(greeting)) {
-        stop();
-        throw UserError("the embedded server did not start; its log above says why");
-    }
-    address_ = line.substr(greeting.size());
+    children_.push_back({.pid = 0, .name = "server", .server = true, .ended = {}});
+    start_server();
 
     const int cores = std::max(1, int(std::thread::hardware_concurrency()));
     const int threads = config.threads > 0 ? config.threads : std::max(1, cores / config.workers);
@@ -125,6 +109,40 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
 }
 
 LocalCluster::~LocalCluster() { stop(); }
+
+void LocalCluster::start_server() {
+    std::vector<std::string> arguments = config_.scenes;
+    for (const std::string& argument :
+         {std::string("--listen"), address_, std::string("--log"), config_.log_level,
+          std::string("--exit-with-parent"), std::to_string(getpid())})
+        arguments.push_back(argument);
+    if (!config_.journal.empty()) {
+        arguments.insert(arguments.end(), {"--journal", config_.journal.string()});
+    }
+    if (!config_.trace.empty()) arguments.insert(arguments.end(), {"--trace", config_.trace});
+    int out[2];
+    if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
+    Child& server = children_.front();
+    server.pid = spawn("tessera-server", arguments, out[1]);
+    server.ended.reset();
+    close(out[1]);
+    const std::string line = read_line(out[0], Clock::now() + start_timeout);
+    close(out[0]);
+    constexpr std::string_view greeting = "listening on ";
+    if (!line.starts_with(greeting)) {
+        stop();
+        throw UserError("the embedded server did not start; its log above says why");
+    }
+    address_ = line.substr(greeting.size());
+}
+
+void LocalCluster::kill_server() {
+    Child& server = children_.front();
+    kill(server.pid, SIGKILL);
+    int status = 0;
+    waitpid(server.pid, &status, 0);
+    server.ended = status;
+}
 
 pid_t LocalCluster::spawn(const std::string& program, const std::vector<std::string>& arguments,
                           int stdout_fd) {
@@ -191,7 +209,7 @@ void LocalCluster::stop() {
     for (const Child& child : children_)
         if (!child.ended && !child.server) kill(child.pid, SIGTERM);
     for (const Child& child : children_) {
-        if (child.ended) continue;
+        if (child.ended || child.pid == 0) continue;
         if (child.server) kill(child.pid, SIGTERM);
         if (!wait_for_end(child.pid, deadline)) kill(child.pid, SIGKILL);
         waitpid(child.pid, nullptr, 0);

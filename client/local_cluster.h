@@ -22,6 +22,8 @@ struct LocalClusterConfig {
     std::string trace = {};  ///< file for the timeline of the last frame; empty: none
     /// Where worker i, from 0, is to find the server at the given address; empty: there.
     std::function<std::string(int, const std::string&)> route = {};
+    std::vector<std::string> scenes{};  ///< that the server holds
+    std::filesystem::path journal{};    ///< of the server; empty: none
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };
@@ -41,6 +43,11 @@ public:
     std::vector<pid_t> workers() const;
     /// The server's process, to be watched.
     pid_t server() const { return children_.front().pid; }
+
+    /// Ends the server with SIGKILL; what it has not written is lost.
+    void kill_server();
+    /// Starts it again, at the same address, once it has been killed.
+    void start_server();
 
     /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
     void check_alive();

@@ -4,6 +4,7 @@
 
 #include <cstring>
 #include <exception>
+#include <random>
 #include <utility>
 
 #include "common/check.h"
@@ -86,6 +87,9 @@ struct RenderClient::State {
     RenderClientConfig config;
     asio::io_context io;
     std::shared_ptr<Connection> connection;
+    std::uint64_t connections = 0;  ///< that the server has let in
+    bool connected = false;
+    std::map<std::uint64_t, View> views;      ///< to be shown again
     std::optional<std::exception_ptr> ended;  ///< why nothing more will arrive
     std::optional<Welcome> welcome;
     std::uint64_t last_request = std::uint64_t(1) << 32;  ///< views have the numbers below
@@ -96,6 +100,8 @@ struct RenderClient::State {
     std::optional<EditResult> edited;
     bool uploaded = false;
     Rendering rendering;
+    SavedSums arriving;
+    std::optional<SavedSums> sums;
     std::map<std::uint64_t, PictureAssembly> assemblies;
     std::optional<ShownPicture> picture;
 
@@ -111,13 +117,39 @@ struct RenderClient::State {
     }
 
     asio::awaitable<void> serve() {
-        connection = co_await connect(parse_address(config.address), config.credentials.tls);
-        connection->send({Hello{.role = Role::viewer,
-                                .build = TESSERA_VERSION,
-                                .token = config.credentials.token,
-                                .name = "tessera"},
-                          {}});
-        for (;;) handle(co_await connection->receive());
+        std::minstd_rand random(std::random_device{}());
+        asio::steady_timer pause(io);
+        for (unsigned attempts = 0;; ++attempts) {
+            const std::exception_ptr lost = co_await serve_once();
+            if (!config.reconnects || connections == 0) std::rethrow_exception(lost);
+            if (std::exchange(connected, false)) {
+                attempts = 0;
+                complaints.push_back(
+                    fmt::format("lost the server at {}: connects again", config.address));
+            }
+            pause.expires_after(retry_delay(attempts, std::generate_canonical<double, 32>(random)));
+            co_await pause.async_wait(asio::use_awaitable);
+        }
+    }
+
+    /// One connection; returns how it was lost, or could not be had. Throws what is for good.
+    asio::awaitable<std::exception_ptr> serve_once() {
+        bool reached = false;
+        try {
+            connection = co_await connect(parse_address(config.address), config.credentials.tls);
+            reached = true;
+            connection->send({Hello{.role = Role::viewer,
+                                    .build = TESSERA_VERSION,
+                                    .token = config.credentials.token,
+                                    .name = "tessera"},
+                              {}});
+            for (;;) handle(co_await connection->receive());
+        } catch (const boost::system::system_error&) {
+            co_return std::current_exception();
+        } catch (const UserError&) {
+            if (reached) throw;
+            co_return std::current_exception();
+        }
     }
 
     void handle(const Message& message) {
@@ -131,7 +163,20 @@ struct RenderClient::State {
             message.body);
     }
 
-    void on(const Welcome& body) { welcome = body; }
+    void on(const Welcome& body) {
+        welcome = body;
+        connected = true;
+        if (++connections == 1) return;
+        // Say again what the server has forgotten.
+        complaints.push_back(fmt::format("connected to {} again", config.address));
+        assemblies.clear();
+        blobs = SceneReceiver();
+        if (!watched.empty()) connection->send({SceneWatch{watched}, {}});
+        for (const auto& [number, view] : views) {
+            assemblies.try_emplace(number);
+            connection->send({view, {}});
+        }
+    }
     void on(const Refused& body) {
         throw UserError(fmt::format("the server at {} refuses: {}", config.address, body.reason));
     }
@@ -155,7 +200,7 @@ struct RenderClient::State {
     void on(const SceneUpdate& body) {
         if (body.scene != watched) return;
         try {
-            scene = apply(scene, body.delta);
+            scene = apply(body.delta.base_version == 0 ? SceneVersion{} : scene, body.delta);
         } catch (const std::runtime_error& error) {
             throw ProtocolError(error.what());
         }
@@ -178,6 +223,16 @@ struct RenderClient::State {
         } catch (const std::runtime_error& error) {
             throw ProtocolError(error.what());
         }
+    }
+    void on(const SumsChunk& body, std::span<const std::byte> bytes) {
+        if (body.request != rendering.request.request) return;
+        if (body.offset == 0) arriving = {};
+        if (body.offset != arriving.sums.size())
+            throw ProtocolError("sums that do not come in order");
+        arriving.sums.insert(arriving.sums.end(), bytes.begin(), bytes.end());
+        arriving.render_seconds = body.render_seconds;
+        arriving.rays = body.rays;
+        if (arriving.sums.size() == body.total) sums = std::exchange(arriving, {});
     }
     void on(const FrameDone& body) {
         if (body.request != rendering.request.request) return;
@@ -210,15 +265,43 @@ struct RenderClient::State {
         }
     }
 
-    /// Throws UserError when the server says that what was asked for cannot be done.
+    /// Throws UserError when the server says that what was asked for cannot be done, ServerLost
+    /// when it is another connection by now.
     template <class Condition>
     void wait_until(const Condition& condition) {
+        const std::uint64_t asked_of = connections;
         while (!condition()) {
             run_for(tick_interval);
+            if (asked_of != 0 && connections != asked_of)
+                throw ServerLost(
+                    fmt::format("the server at {} was lost and is back", config.address));
             if (failures.empty()) continue;
             const std::string reason = failures.front();
             failures.clear();
             throw UserError(reason);
+        }
+    }
+
+    /// Does what can as well be done twice, again if need be.
+    template <class Ask>
+    auto persist(const Ask& ask) {
+        for (;;) {
+            try {
+                return ask();
+            } catch (const ServerLost&) {
+                failures.clear();
+            }
+        }
+    }
+
+    /// Sums follow their request as fast as the server reads.
+    asio::awaitable<void> send_sums(std::uint64_t request, std::shared_ptr<const Bytes> bytes) {
+        SumsChunk chunk{.request = request, .offset = 0, .total = bytes->size()};
+        while (chunk.offset < chunk.total) {
+            const std::size_t size = std::min<std::size_t>(chunk_bytes, chunk.total - chunk.offset);
+            co_await connection->wait_until_drained(chunk_bytes);
+            connection->send_bulk({chunk, {bytes, std::span(*bytes).subspan(chunk.offset, size)}});
+            chunk.offset += size;
         }
     }
 
@@ -240,33 +323,53 @@ RenderClient::RenderClient(const RenderClientConfig& config) : state_(std::make_
 RenderClient::~RenderClient() {
     // Lets the coroutines come to their ends while all they use is there.
     if (!state_->connection) return;
+    state_->config.reconnects = false;
     state_->connection->close();
     state_->io.restart();
     state_->io.poll();
 }
+
+bool RenderClient::connected() const { return state_->connected; }
 
 const Welcome& RenderClient::welcome() const { return *state_->welcome; }
 
 void RenderClient::upload_scene(const std::string& name, const SceneBundle& bundle) {
     const SceneVersion version{.version = 1, .scene = bundle.scene};
     state_->uploading = &bundle;
-    state_->uploaded = false;
-    state_->connection->send(
-        {SceneUpdate{.scene = name, .delta = diff(SceneVersion{}, version)}, {}});
-    state_->wait_until([&] { return state_->uploaded; });
+    state_->persist([&] {
+        state_->uploaded = false;
+        state_->connection->send(
+            {SceneUpdate{.scene = name, .delta = diff(SceneVersion{}, version)}, {}});
+        state_->wait_until([&] { return state_->uploaded; });
+    });
     state_->uploading = nullptr;
 }
 
 RenderedFrame RenderClient::render(const FrameRequest& request,
-                                   const std::function<void(const FrameProgress&)>& progress) {
+                                   const std::function<void(const FrameProgress&)>& progress,
+                                   const SavedSums& begun) {
     state_->rendering = {.request = request, .progress = progress, .frame = {}};
     state_->rendering.request.request = ++state_->last_request;
+    state_->rendering.request.sums_bytes = begun.sums.size();
+    state_->sums.reset();
     state_->connection->send({state_->rendering.request, {}});
+    asio::co_spawn(state_->io,
+                   state_->send_sums(state_->rendering.request.request,
+                                     std::make_shared<const Bytes>(begun.sums)),
+                   asio::detached);
     state_->wait_until([&] { return state_->rendering.done; });
     return std::move(state_->rendering.frame);
 }
 
-Status RenderClient::status() { return state_->ask_status(); }
+void RenderClient::ask_sums() {
+    state_->connection->send({FrameSave{state_->rendering.request.request}, {}});
+}
+
+std::optional<SavedSums> RenderClient::take_sums() { return std::exchange(state_->sums, {}); }
+
+Status RenderClient::status() {
+    return state_->persist([&] { return state_->ask_status(); });
+}
 
 void RenderClient::share_scene(const std::string& name) {
     state_->connection->send({SceneShare{name}, {}});
@@ -277,17 +380,20 @@ void RenderClient::watch(const std::string& scene) {
     state_->watched = scene;
     state_->scene = {};
     state_->connection->send({SceneWatch{scene}, {}});
-    state_->wait_until([&] { return state_->scene.version > 0; });
+    // A connection that is new watches by itself.
+    state_->persist([&] { state_->wait_until([&] { return state_->scene.version > 0; }); });
 }
 
 const SceneVersion& RenderClient::scene() const { return state_->scene; }
 
 EditResult RenderClient::edit(const std::string& scene,
                               const std::vector<EditOperation>& operations) {
-    state_->edited.reset();
-    send_edit(scene, operations);
-    state_->wait_until(
-        [&] { return state_->edited && state_->edited->request == state_->last_request; });
+    state_->persist([&] {
+        state_->edited.reset();
+        send_edit(scene, operations);
+        state_->wait_until(
+            [&] { return state_->edited && state_->edited->request == state_->last_request; });
+    });
     state_->complaints.clear();
     return *std::exchange(state_->edited, {});
 }
@@ -296,15 +402,17 @@ BlobStore RenderClient::fetch_blobs(const std::string& scene, const std::vector<
     // A scene of nothing but these, so that the receiver knows what to wait for.
     SceneVersion wanted{.version = 1, .scene = {}};
     wanted.scene.meshes = blobs;
-    BlobRequest request =
-        state_->blobs.update({.scene = scene, .delta = diff(SceneVersion{}, wanted)});
-    state_->connection->send({std::move(request), {}});
-    std::optional<ReadyScene> ready;
-    state_->wait_until([&] {
-        ready = state_->blobs.take_ready();
-        return ready.has_value();
+    return state_->persist([&] {
+        BlobRequest request =
+            state_->blobs.update({.scene = scene, .delta = diff(SceneVersion{}, wanted)});
+        state_->connection->send({std::move(request), {}});
+        std::optional<ReadyScene> ready;
+        state_->wait_until([&] {
+            ready = state_->blobs.take_ready();
+            return ready.has_value();
+        });
+        return ready->blobs;
     });
-    return ready->blobs;
 }
 
 void RenderClient::poll(std::chrono::milliseconds patience) {
@@ -327,6 +435,7 @@ void RenderClient::wake() {
 
 void RenderClient::show(const View& view) {
     state_->assemblies.try_emplace(view.request);
+    state_->views[view.request] = view;
     state_->connection->send({view, {}});
 }
 
@@ -335,6 +444,7 @@ std::optional<ShownPicture> RenderClient::take_picture() {
 }
 
 void RenderClient::send_edit(const std::string& scene, std::vector<EditOperation> operations) {
+    if (!state_->connected) state_->complaints.push_back("not connected: the change is lost");
     state_->connection->send({SceneEdit{++state_->last_request, scene, std::move(operations)}, {}});
 }
 

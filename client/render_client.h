@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "common/check.h"
 #include "common/image.h"
 #include "common/keys.h"
 #include "common/messages.h"
@@ -41,7 +42,22 @@ struct RenderClientConfig {
     std::string address;  ///< host:port
     Credentials credentials;
     std::function<void()> tick = [] {};
+    /// When the server is lost after it has let this client in: connect again, for as long as it
+    /// takes or `tick` allows; watched scene and views come back by themselves.
+    bool reconnects = false;
     bool keep_jpeg = false;  ///< pictures that arrive as JPEG stay as they are
+};
+
+/// The server was lost in the midst of a call and is back, but knows nothing of it: ask again.
+struct ServerLost : UserError {
+    using UserError::UserError;
+};
+
+/// What a frame has added up to so far.
+struct SavedSums {
+    Bytes sums;  ///< empty: nothing
+    double render_seconds = 0;
+    std::uint64_t rays = 0;
 };
 
 class RenderClient {
@@ -51,15 +67,23 @@ public:
     ~RenderClient();
 
     const Welcome& welcome() const;
+    /// Whether the server is there, as far as is known.
+    bool connected() const;
 
     /// Makes the server hold `bundle` as scene `name`; blobs that it has already are not sent
     /// again.
     void upload_scene(const std::string& name, const SceneBundle& bundle);
 
     /// Renders one picture; `progress` is called as reports arrive.
-    /// Throws UserError with the server's reason when it cannot be done.
+    /// Goes on from `begun`, the sums of such a frame, unless they are empty.
+    /// Throws UserError with the server's reason when it cannot be done, ServerLost.
     RenderedFrame render(const FrameRequest& request,
-                         const std::function<void(const FrameProgress&)>& progress);
+                         const std::function<void(const FrameProgress&)>& progress,
+                         const SavedSums& begun = {});
+    /// Asks for the sums of the frame that is being rendered, without waiting.
+    void ask_sums();
+    /// Those asked for, once they are there; a frame that is done has none.
+    std::optional<SavedSums> take_sums();
 
     Status status();
 
@@ -72,14 +96,16 @@ public:
     void watch(const std::string& scene);
     /// Of the scene watched last.
     const SceneVersion& scene() const;
-    /// Changes an open scene. What could not be done is in the result's complaints.
+    /// Changes an open scene. What could not be done is in the result's complaints. If the server
+    /// is lost before it answers, the same is asked again: the last value wins, but what was
+    /// created or deleted already is complained about.
     EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations);
     /// Meshes and textures of an open scene.
     BlobStore fetch_blobs(const std::string& scene, const std::vector<BlobId>& blobs);
 
     // ---- Live: nothing here waits ----
     /// Handles what has arrived, or arrives within `patience`. Throws UserError when the server is
-    /// lost.
+    /// lost for good.
     void poll(std::chrono::milliseconds patience);
     /// Ends the patience of a `poll`; from any thread.
     void wake();

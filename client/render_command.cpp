@@ -8,6 +8,7 @@
 #include <sstream>
 
 #include "client/camera_options.h"
+#include "client/checkpoint.h"
 #include "client/commands.h"
 #include "client/interrupt.h"
 #include "client/local_cluster.h"
@@ -42,6 +43,8 @@ struct RenderOptions {
     std::string server;
     std::string keys;
     LocalClusterConfig cluster;
+    std::string checkpoint;
+    int checkpoint_seconds = 60;
     std::string stats;
 };
 
@@ -156,6 +159,32 @@ LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
     return loaded;
 }
 
+/// One picture, in spite of lost servers, and with what a checkpoint holds.
+RenderedFrame render(const RenderOptions& options, RenderClient& client, const SceneBundle& bundle,
+                     FrameRequest request, Checkpoint* checkpoint, ProgressBar& bar,
+                     const std::function<void(const FrameProgress&)>& progress) {
+    for (;;) {
+        const SavedSums begun = checkpoint ? checkpoint->load() : SavedSums{};
+        if (!begun.sums.empty())
+            bar.note(fmt::format("goes on from {}, after {:.1f} s of rendering", options.checkpoint,
+                                 begun.render_seconds));
+        if (options.time_limit > 0)
+            request.time_limit = std::max(options.time_limit - begun.render_seconds, 1e-3);
+        try {
+            client.upload_scene(request.spec.scene, bundle);
+            RenderedFrame frame = client.render(request, progress, begun);
+            frame.statistics.render_seconds += begun.render_seconds;
+            frame.statistics.rays += begun.rays;
+            return frame;
+        } catch (const ServerLost& lost) {
+            bar.note(checkpoint ? lost.what()
+                                : fmt::format("{}: begins anew; with --checkpoint FILE it would go "
+                                              "on from what was saved last",
+                                              lost.what()));
+        }
+    }
+}
+
 void run(const RenderOptions& options) {
     Interrupt interrupt;
     ProgressBar bar;
@@ -172,17 +201,38 @@ void run(const RenderOptions& options) {
     RenderClient client(
         {.address = cluster ? cluster->address() : options.server,
          .credentials = cluster ? cluster->credentials() : load_credentials(options.keys),
-         .tick = [&] {
-             interrupt.check();
-             view.tick();
-             if (cluster) cluster->check_alive();
-         }});
-    const std::string name = std::filesystem::path(options.scene).filename().string();
-    client.upload_scene(name, loaded.bundle);
-    const FrameRequest request = request_of(options, name, camera);
-    const RenderedFrame frame =
-        client.render(request, [&](const FrameProgress& p) { view.report(p); });
+         .tick =
+             [&] {
+                 interrupt.check();
+                 view.tick();
+                 if (cluster) cluster->check_alive();
+             },
+         .reconnects = !cluster});
+    const FrameRequest request =
+        request_of(options, std::filesystem::path(options.scene).filename().string(), camera);
+    std::optional<Checkpoint> checkpoint;
+    if (!options.checkpoint.empty())
+        checkpoint.emplace(options.checkpoint, checkpoint_key(loaded.bundle.scene, request),
+                           std::chrono::seconds(options.checkpoint_seconds));
+    bool rendering = false;
+    const RenderedFrame frame = [&] {
+        try {
+            return render(options, client, loaded.bundle, request,
+                          checkpoint ? &*checkpoint : nullptr, bar, [&](const FrameProgress& p) {
+                              rendering = true;
+                              view.report(p);
+                              if (checkpoint) checkpoint->tick(client);
+                          });
+        } catch (const Interrupted&) {
+            if (!checkpoint || !rendering) throw;
+            checkpoint->save_now(client);
+            bar.note(fmt::format("saved to {}: the same command goes on from there",
+                                 options.checkpoint));
+            throw;
+        }
+    }();
     write_pictures(options, request, frame);
+    if (checkpoint) checkpoint->remove();
     if (!options.stats.empty())
         write_statistics(options.stats, load_time.count(), frame.statistics);
     const FrameStatistics& s = frame.statistics;
@@ -250,6 +300,16 @@ void add_output_options(CLI::App* command, RenderOptions& o) {
         ->delimiter(',')
         ->transform(CLI::CheckedTransformer(aov_names));
     command->add_option("--stats", o.stats, "statistics to write as JSON");
+    auto* checkpoint = command->add_option("--checkpoint", o.checkpoint,
+                                           "file to save to what is rendered so far, now and then "
+                                           "and on Ctrl-C: the same command goes "
+                                           "on from it, to the same picture");
+    command
+        ->add_option("--checkpoint-every", o.checkpoint_seconds,
+                     "seconds from one save to the next")
+        ->check(CLI::Range(1, 86400))
+        ->capture_default_str()
+        ->needs(checkpoint);
 }
 
 void add_cluster_options(CLI::App* command, RenderOptions& o) {

@@ -141,10 +141,12 @@ void run(const ViewOptions& options) {
     RenderClient client(
         {.address = cluster ? cluster->address() : options.server,
          .credentials = cluster ? cluster->credentials() : load_credentials(options.keys),
-         .tick = [&] {
-             interrupt.check();
-             if (cluster) cluster->check_alive();
-         }});
+         .tick =
+             [&] {
+                 interrupt.check();
+                 if (cluster) cluster->check_alive();
+             },
+         .reconnects = !cluster});
     const std::string scene = open_scene(options, client);
     client.watch(scene);
     memory.window.title = fmt::format("{} - Tessera", scene);

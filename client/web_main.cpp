@@ -46,6 +46,7 @@ int main(int argc, char** argv) {
     start_log("web", log_level);
     try {
         config.viewer.server.credentials = load_credentials(keys);
+        config.viewer.server.reconnects = true;
         run_web_gateway(config, [&](const std::string& url) {
             if (config.beyond_loopback)
                 spdlog::warn(

@@ -319,6 +319,12 @@ Address parse_address(const std::string& text) {
     return address;
 }
 
+std::chrono::milliseconds retry_delay(unsigned failures, double u) {
+    using std::chrono::milliseconds;
+    const auto longest = std::min(milliseconds(100 << std::min(failures, 4u)), milliseconds(1000));
+    return milliseconds(std::int64_t(double(longest.count()) * (1 - u / 2)));
+}
+
 asio::awaitable<std::shared_ptr<Connection>> connect(Address address,
                                                      std::shared_ptr<const Tls> tls,
                                                      Clock::duration timeout) {

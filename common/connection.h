@@ -151,6 +151,11 @@ struct Address {
 /// the caller (to listen on a free port).
 Address parse_address(const std::string& text);
 
+/// Time to wait after `failures` attempts to connect in a row have failed: doubles from 0.1 s up to
+/// 1 s, for a server that is started again shall have its peers back soon; `u` in [0, 1) takes up
+/// to half of it away, so that they do not all come back at once.
+std::chrono::milliseconds retry_delay(unsigned failures, double u);
+
 /// Connects to the first of the address's endpoints that answers, and speaks TLS where it is given.
 /// Throws UserError naming the address, the reason and what to do.
 asio::awaitable<std::shared_ptr<Connection>> connect(

@@ -689,6 +689,7 @@ void pack(const FrameRequest& v, wire::FrameRequest& out) {
     out.set_exposure(v.tone_map.exposure);
     out.set_time_limit(v.time_limit);
     out.set_error_limit(v.error_limit);
+    out.set_sums_bytes(v.sums_bytes);
 }
 void unpack(const wire::FrameRequest& in, FrameRequest& v) {
     if (in.request() == 0) refuse("request is 0");
@@ -700,6 +701,25 @@ void unpack(const wire::FrameRequest& in, FrameRequest& v) {
     v.tone_map.exposure = finite(in.exposure(), "exposure");
     v.time_limit = amount(in.time_limit(), "time_limit");
     v.error_limit = amount(in.error_limit(), "error_limit");
+    v.sums_bytes = in.sums_bytes();
+}
+
+void pack(const FrameSave& v, wire::FrameSave& out) { out.set_request(v.request); }
+void unpack(const wire::FrameSave& in, FrameSave& v) { v.request = in.request(); }
+
+void pack(const SumsChunk& v, wire::SumsChunk& out) {
+    out.set_request(v.request);
+    out.set_offset(v.offset);
+    out.set_total(v.total);
+    out.set_render_seconds(v.render_seconds);
+    out.set_rays(v.rays);
+}
+void unpack(const wire::SumsChunk& in, SumsChunk& v) {
+    v.request = in.request();
+    v.offset = in.offset();
+    v.total = in.total();
+    v.render_seconds = amount(in.render_seconds(), "render_seconds");
+    v.rays = in.rays();
 }
 
 void pack(const View& v, wire::View& out) {
@@ -941,7 +961,9 @@ using Kinds = Table<
     Entry<EditResult, wire::EditResult, wire::KIND_EDIT_RESULT>,
     Entry<View, wire::View, wire::KIND_VIEW>, Entry<ViewEnd, wire::ViewEnd, wire::KIND_VIEW_END>,
     Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>,
-    Entry<Leave, wire::Leave, wire::KIND_LEAVE>>;
+    Entry<Leave, wire::Leave, wire::KIND_LEAVE>,
+    Entry<FrameSave, wire::FrameSave, wire::KIND_FRAME_SAVE>,
+    Entry<SumsChunk, wire::SumsChunk, wire::KIND_SUMS_CHUNK>>;
 
 /// Calls `f` with the entry for which `wanted(entry)` holds; returns whether there is one.
 template <class... Entries, class Wanted, class F>
@@ -985,6 +1007,8 @@ void attach_payload(Payload payload, Message& message) {
         check_chunk(blob->offset, size, blob->total);
     else if (const auto* picture = message.get<PictureChunk>())
         check_chunk(picture->offset, size, picture->total);
+    else if (const auto* sums = message.get<SumsChunk>())
+        check_chunk(sums->offset, size, sums->total);
     else if (size != 0)
         refuse("payload of {} bytes where none belongs", size);
     if (size != 0) message.payload = std::move(payload);

@@ -4,13 +4,13 @@
 //   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong,
 //                      Leave
 //   viewer -> server   Hello, SceneUpdate, BlobChunk*, SceneShare, SceneWatch, BlobRequest,
-//                      SceneEdit, View, ViewEnd, FrameRequest, FrameCancel, StatusRequest, Ping,
-//                      Pong
+//                      SceneEdit, View, ViewEnd, FrameRequest, SumsChunk*, FrameSave, FrameCancel,
+//                      StatusRequest, Ping, Pong
 //   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
 //                      FrameEnd, Ping
 //   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
-//                      EditResult, FrameProgress, PictureChunk*, ViewPicture, FrameDone, Failure,
-//                      Status, Ping, Pong
+//                      EditResult, FrameProgress, SumsChunk*, PictureChunk*, ViewPicture,
+//                      FrameDone, Failure, Status, Ping, Pong
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
 
@@ -150,8 +150,28 @@ struct FrameRequest {
     ToneMap tone_map;
     double time_limit = 0;   ///< seconds of rendering after which passes stop; 0: none
     double error_limit = 0;  ///< error estimate at which passes stop; 0: none
+    /// Bytes of the sums that it goes on from, which follow as SumsChunks; 0: begins with the first
+    /// pass.
+    std::uint64_t sums_bytes = 0;
 
     bool operator==(const FrameRequest&) const = default;
+};
+/// The viewer wants to have what the frame has added up to so far, and the frame goes on.
+struct FrameSave {
+    std::uint64_t request = 0;
+
+    bool operator==(const FrameSave&) const = default;
+};
+/// Bytes [offset, offset + payload) of a frame's sums, in order; a frame of the same spec on a
+/// server of the same release goes on from them. `total` is 0 when there are none yet.
+struct SumsChunk {
+    std::uint64_t request = 0;
+    std::uint64_t offset = 0;
+    std::uint64_t total = 0;
+    double render_seconds = 0;  ///< spent on them
+    std::uint64_t rays = 0;
+
+    bool operator==(const SumsChunk&) const = default;
 };
 /// Begins a view that the server keeps rendering, or changes the one of that number.
 struct View {
@@ -327,7 +347,7 @@ using MessageBody =
                  SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
                  FrameBegin, FrameEnd, TileTask, TileResult, Failure, StatusRequest, Status, Ping,
                  Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture,
-                 Leave>;
+                 Leave, FrameSave, SumsChunk>;
 
 /// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
 struct Payload {

@@ -30,11 +30,15 @@ Message chunk_at(const BlobId& id, const std::shared_ptr<const Bytes>& blob, std
 }  // namespace
 
 void SceneReceiver::hold(const std::string& name, SceneVersion version, const BlobStore& blobs) {
-    blobs_.merge(blobs);
-    held_bytes_ = blobs_.bytes();
+    know(blobs);
     scenes_[name] = {.scene = std::make_shared<const SceneVersion>(std::move(version)),
                      .missing = {},
                      .reported = true};
+}
+
+void SceneReceiver::know(const BlobStore& blobs) {
+    blobs_.merge(blobs);
+    held_bytes_ = blobs_.bytes();
 }
 
 BlobRequest SceneReceiver::update(const SceneUpdate& update) {

@@ -50,6 +50,9 @@ public:
     /// blobs are not asked for. It is not reported by take_ready.
     void hold(const std::string& name, SceneVersion version, const BlobStore& blobs);
 
+    /// Blobs that are not to be asked for, while there is room for them.
+    void know(const BlobStore& blobs);
+
     /// Applies the update and returns the answer: the blobs to send, which are neither held nor on
     /// their way. A delta from version 0 replaces the scene whatever version is held; any other
     /// applies to the version held only.

@@ -13,6 +13,17 @@ DetailBlend::DetailBlend(ImageSize size)
       squares_(3 * size.pixels()),
       of_row_(std::size_t(blocks_.width) * std::size_t(size.height)) {}
 
+std::vector<std::span<std::byte>> DetailBlend::parts() {
+    return {std::as_writable_bytes(std::span(mean_)), std::as_writable_bytes(std::span(squares_)),
+            std::as_writable_bytes(std::span(of_row_))};
+}
+
+std::uint64_t DetailBlend::saved_bytes(ImageSize size) {
+    const auto blocks_across = std::uint64_t(size.width + block_size - 1) / block_size;
+    return 2 * 3 * sizeof(float) * std::uint64_t(size.pixels()) +
+           sizeof(Block) * blocks_across * std::uint64_t(size.height);
+}
+
 void DetailBlend::add_row(int y, std::span<const float> detail, std::uint32_t runs) {
     const std::size_t row = 3 * std::size_t(size_.width);
     float* mean = &mean_[std::size_t(y) * row];

@@ -7,6 +7,7 @@
 // converges to the unfiltered one.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -22,6 +23,12 @@ public:
     /// Takes in the detail of row `y`, three floats per pixel, as the run number `runs`, counted
     /// from 1. Different rows may be added at the same time by different threads.
     void add_row(int y, std::span<const float> detail, std::uint32_t runs);
+
+    /// All that makes it up beside the number of runs, to be saved, or to be overwritten with what
+    /// was saved after so many runs and taken up with `resume`.
+    std::vector<std::span<std::byte>> parts();
+    static std::uint64_t saved_bytes(ImageSize size);
+    void resume(std::uint32_t runs) { runs_ = runs; }
 
     /// Adds to `picture`, the mean of filtered runs, as much of the detail as is worth it.
     void add_to(Image& picture) const;

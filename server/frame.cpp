@@ -1,6 +1,7 @@
 #include "server/frame.h"
 
 #include <cmath>
+#include <cstring>
 
 #include "common/check.h"
 #include "common/discontinuity.h"
@@ -148,15 +149,67 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
 void FrameSums::finish_run(const RunBuffer& run) {
     ++runs_;
     passes_ += run.passes;
-    if (runs_ == 1 && run_count(spec_.settings) > 1) begin_means();
-}
-
-/// The mean of the first run is its sum, and nothing has deviated yet.
-void FrameSums::begin_means() {
-    mean_.resize(sum_.size());
-    squares_.resize(sum_.size());
+    if (runs_ != 1 || run_count(spec_.settings) == 1) return;
+    // The mean of the first run is its sum, and nothing has deviated yet.
+    make_means();
     const float per_pass = 1 / float(passes_);
     for (std::size_t i = 0; i < sum_.size(); ++i) mean_[i] = sum_[i] * per_pass;
+}
+
+void FrameSums::make_means() {
+    mean_.resize(sum_.size());
+    squares_.resize(sum_.size());
+}
+
+/// All that the sums are made of, but for the number of runs, in the order in which it is saved.
+std::vector<std::span<std::byte>> FrameSums::parts() {
+    std::vector<std::span<std::byte>> out;
+    for (std::vector<float>* part : {&sum_, &mean_, &squares_})
+        out.push_back(std::as_writable_bytes(std::span(*part)));
+    out.push_back(std::as_writable_bytes(std::span(row_errors_)));
+    for (auto& [channel, sums] : extra_) out.push_back(std::as_writable_bytes(std::span(sums)));
+    if (!detail_) return out;
+    const auto detail = detail_->parts();
+    out.insert(out.end(), detail.begin(), detail.end());
+    return out;
+}
+
+std::uint64_t FrameSums::saved_bytes(const FrameSpec& spec) {
+    const auto pixels = std::uint64_t(spec.size.pixels());
+    const std::uint64_t means = run_count(spec.settings) > 1 ? 2 : 0;
+    const bool filtered =
+        spec.settings.integrator == Integrator::igi && spec.settings.filter != FilterPlace::off;
+    return sizeof runs_ + sizeof(float) * pixels * (3 * (1 + means)) +
+           sizeof(double) * std::uint64_t(spec.size.height) +
+           sizeof(float) * pixels * std::uint64_t(floats_per_pixel(spec.extra)) +
+           (filtered ? DetailBlend::saved_bytes(spec.size) : 0);
+}
+
+Bytes FrameSums::saved() {
+    CHECK(runs_ > 0);
+    Bytes out;
+    out.reserve(saved_bytes(spec_));
+    const auto runs = std::as_bytes(std::span(&runs_, 1));
+    out.insert(out.end(), runs.begin(), runs.end());
+    for (const std::span<std::byte> part : parts()) out.insert(out.end(), part.begin(), part.end());
+    CHECK_EQ(out.size(), saved_bytes(spec_));
+    return out;
+}
+
+bool FrameSums::resume(std::span<const std::byte> saved) {
+    const std::uint32_t all_runs = run_count(spec_.settings);
+    if (saved.size() != saved_bytes(spec_)) return false;
+    std::memcpy(&runs_, saved.data(), sizeof runs_);
+    if (runs_ < 1 || runs_ > all_runs) return false;
+    passes_ = std::min(runs_ * passes_per_task(spec_.settings), spec_.settings.passes);
+    if (all_runs > 1) make_means();
+    if (detail_) detail_->resume(runs_);
+    saved = saved.subspan(sizeof runs_);
+    for (const std::span<std::byte> part : parts()) {
+        std::copy_n(saved.begin(), part.size(), part.begin());
+        saved = saved.subspan(part.size());
+    }
+    return true;
 }
 
 double FrameSums::error_estimate() const {
@@ -180,8 +233,12 @@ Image FrameSums::channel(Channel c) const {
     return image;
 }
 
-FrameAssembler::FrameAssembler(const FrameSpec& spec)
-    : spec_(spec), channels_(tile_channels(spec)), runs_(run_count(spec.settings)) {
+FrameAssembler::FrameAssembler(const FrameSpec& spec, std::uint32_t first_run)
+    : spec_(spec),
+      channels_(tile_channels(spec)),
+      runs_(run_count(spec.settings)),
+      folded_(first_run),
+      tasks_done_(std::uint64_t(first_run) * tile_count(spec.size)) {
     const std::size_t run_bytes =
         spec.size.pixels() * std::size_t(floats_per_pixel(channels_)) * sizeof(float);
     window_ = std::uint32_t(std::clamp(window_bytes / std::max<std::size_t>(run_bytes, 1),

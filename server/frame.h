@@ -32,6 +32,14 @@ class FrameSums {
 public:
     explicit FrameSums(const FrameSpec& spec);
 
+    /// Bytes of a frame's sums when saved.
+    static std::uint64_t saved_bytes(const FrameSpec& spec);
+    /// What these sums are after at least one run; between a finish_run and the next fold.
+    Bytes saved();
+    /// Goes on from sums of a frame of the same spec; comes before the first fold. Returns whether
+    /// they may be such sums.
+    bool resume(std::span<const std::byte> saved);
+
     /// Filters and adds rows y0 <= y < y1 of a complete run. Bands of rows may be folded at the
     /// same time by different threads; all bands of a run, then finish_run, then the next run.
     void fold(const RunBuffer& run, int y0, int y1);
@@ -54,7 +62,8 @@ private:
     std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
     void fold_row(const RunBuffer& run, std::span<const float> irradiance, int y);
     void fold_detail(const RunBuffer& run, std::span<const float> irradiance, int y);
-    void begin_means();
+    void make_means();
+    std::vector<std::span<std::byte>> parts();
     double row_error(int y) const;
 
     FrameSpec spec_;
@@ -80,7 +89,8 @@ enum class Arrival : std::uint8_t {
 
 class FrameAssembler {
 public:
-    explicit FrameAssembler(const FrameSpec& spec);
+    /// Runs before `first_run` are folded already.
+    explicit FrameAssembler(const FrameSpec& spec, std::uint32_t first_run = 0);
 
     /// Whether the result is one of this frame's tasks with the right amount of data.
     bool fits(const TileResult& result) const;
@@ -114,9 +124,9 @@ private:
     ChannelSet channels_;
     std::uint32_t runs_;
     std::uint32_t window_;
-    std::uint32_t folded_ = 0;
+    std::uint32_t folded_;
     bool folding_ = false;
-    std::uint64_t tasks_done_ = 0;
+    std::uint64_t tasks_done_;
     std::map<std::uint32_t, RunBuffer> open_;  ///< runs in flight or complete, not yet taken
     std::vector<RunBuffer> pool_;              ///< buffers to use again
 };

@@ -7,6 +7,7 @@
 #include <csignal>
 #include <cstdlib>
 #include <filesystem>
+#include <set>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -19,6 +20,7 @@ namespace {
 
 struct Options {
     std::vector<std::string> scenes;
+    bool reload = false;
     ServerConfig config;
     std::string log_level = "info";
     pid_t parent = 0;
@@ -32,18 +34,28 @@ void keep_memory() {
     mallopt(M_ARENA_MAX, 1);
 }
 
-void load(Server& server, const std::string& file_or_name) {
+void load(Server& server, const std::string& file_or_name, const std::string& name) {
     const LoadedScene loaded = load_scene(file_or_name);
-    const std::string name = std::filesystem::path(file_or_name).filename().string();
     for (const std::string& note : loaded.notes) spdlog::info("{}: {}", name, note);
     server.add_scene(name, loaded.bundle);
+}
+
+void load_all(Server& server, const Options& options) {
+    std::set<std::string> names;
+    for (const std::string& scene : options.scenes) {
+        const std::string name = std::filesystem::path(scene).filename().string();
+        if (!names.insert(name).second)
+            throw UserError(fmt::format("two scenes are called '{}'", name));
+        // What the journal brought back goes before what files hold.
+        if (!server.holds_scene(name) || options.reload) load(server, scene, name);
+    }
 }
 
 void run(const Options& options) {
     keep_memory();
     asio::io_context io(1);
     Server server(io, options.config);
-    for (const std::string& scene : options.scenes) load(server, scene);
+    load_all(server, options);
 
     asio::signal_set signals(io, SIGINT, SIGTERM);
     signals.async_wait([&](const boost::system::error_code&, int) { server.stop(); });
@@ -73,6 +85,14 @@ int main(int argc, char** argv) {
                    "folder `server` that `tessera keys` made: peers speak TLS and have its tokens; "
                    "needed to listen beyond loopback")
         ->envname("TESSERA_KEYS");
+    auto* journal =
+        app.add_option("--journal", options.config.journal,
+                       "keep open scenes and their edits in this folder: a server that is started "
+                       "with it again has them as they were, and does not read their files")
+            ->type_name("FOLDER");
+    app.add_flag("--reload", options.reload,
+                 "read the scenes named here from their files, though the journal has them")
+        ->needs(journal);
     app.add_option(
            "--metrics", options.config.metrics,
            "address at which Prometheus finds metrics; anybody who reaches it can read them")

@@ -38,8 +38,10 @@ struct RenderFarm::Job {
     FrameRequest request;
     ReadyScene scene;
     FrameObserver observer;
-    FrameAssembler assembler;
     std::shared_ptr<FrameSums> sums;
+    FrameAssembler assembler;
+    bool sums_busy = false;                  ///< on the pool
+    std::function<void(SavedFrame)> saving;  ///< to be called with the sums; may be empty
     asio::steady_timer report_timer;
     std::optional<FrameProgress> reported;
     std::optional<Clock::time_point> started;       ///< first tile handed out
@@ -52,12 +54,12 @@ struct RenderFarm::Job {
     std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
 
     Job(const asio::any_io_executor& strand, const FrameRequest& r, const ReadyScene& s,
-        FrameObserver o)
+        FrameObserver o, std::shared_ptr<FrameSums> begun)
         : request(r),
           scene(s),
           observer(std::move(o)),
-          assembler(r.spec),
-          sums(std::make_shared<FrameSums>(r.spec)),
+          sums(begun ? std::move(begun) : std::make_shared<FrameSums>(r.spec)),
+          assembler(r.spec, sums->runs()),
           report_timer(strand) {}
 
     std::uint64_t frame() const { return request.spec.frame; }
@@ -92,20 +94,27 @@ void RenderFarm::drop_scene(const std::string& name) {
 }
 
 std::uint64_t RenderFarm::begin_frame(const FrameRequest& request, const ReadyScene& scene,
-                                      FrameObserver observer) {
+                                      FrameObserver observer, std::shared_ptr<FrameSums> sums) {
     FrameRequest numbered = request;
     numbered.spec.frame = ++last_frame_;
     numbered.spec.scene = scene.name;
     numbered.spec.version = scene.scene->version;
-    auto job = std::make_unique<Job>(strand_, numbered, scene, std::move(observer));
+    auto job =
+        std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums));
     Job& begun = *job;
+    begun.error_estimate = begun.sums->error_estimate();
     jobs_[last_frame_] = std::move(job);
-    scheduler_.add_frame(numbered.spec, begun.assembler.run_limit());
+    scheduler_.add_frame(numbered.spec, begun.assembler.run_limit(), begun.sums->runs());
     sync_scene(scene.name);
     report(begun);
     schedule_report(begun);
     // Later, so that the caller knows the number before it hears of the end.
-    asio::post(strand_, [this, name = scene.name] { fail_if_hopeless(name); });
+    asio::post(strand_, [this, name = scene.name, frame = last_frame_] {
+        fail_if_hopeless(name);
+        // It may have gone on from its end.
+        if (const auto found = jobs_.find(frame); found != jobs_.end())
+            finish_if_complete(*found->second);
+    });
     pump();
     return numbered.spec.frame;
 }
@@ -325,10 +334,38 @@ std::string RenderFarm::why_hopeless(const Job& job) const {
     return reason;
 }
 
+void RenderFarm::save_frame(std::uint64_t frame, std::function<void(SavedFrame)> saved) {
+    const auto found = jobs_.find(frame);
+    if (found == jobs_.end()) return;
+    found->second->saving = std::move(saved);
+    fold_next(*found->second);
+}
+
+/// On the pool, before the sums change again.
+void RenderFarm::save_sums(Job& job) {
+    if (job.sums->runs() == 0) return std::exchange(job.saving, {})({});
+    job.sums_busy = true;
+    const FrameStatistics so_far = statistics(job);
+    asio::post(pool_, [this, sums = job.sums, frame = job.frame(), so_far] {
+        const auto bytes = std::make_shared<const Bytes>(sums->saved());
+        asio::post(strand_, [this, frame, bytes, so_far] {
+            const auto found = jobs_.find(frame);
+            if (found == jobs_.end()) return;
+            Job& saved = *found->second;
+            saved.sums_busy = false;
+            std::exchange(saved.saving, {})({bytes, so_far.render_seconds, so_far.rays});
+            fold_next(saved);
+        });
+    });
+}
+
 /// Folds the next run if it is complete, in bands of rows on the pool.
 void RenderFarm::fold_next(Job& job) {
+    if (!job.sums_busy && job.saving) save_sums(job);
+    if (job.sums_busy) return;
     std::optional<RunBuffer> complete = job.assembler.take_complete();
     if (!complete) return;
+    job.sums_busy = true;
     const auto run = std::make_shared<RunBuffer>(std::move(*complete));
     const int height = job.request.spec.size.height;
     const int bands = std::clamp(height / least_band_rows, 1, int(fold_threads_));
@@ -367,6 +404,7 @@ void RenderFarm::run_seen(std::uint64_t frame, RunBuffer run) {
     const auto found = jobs_.find(frame);
     if (found == jobs_.end()) return;
     Job& job = *found->second;
+    job.sums_busy = false;
     job.assembler.run_folded(std::move(run));
     stop_at_limits(job);
     scheduler_.allow_runs(frame, job.assembler.run_limit());
@@ -453,7 +491,7 @@ std::uint32_t RenderFarm::ready_workers(const Job& job) const {
 
 FrameStatistics RenderFarm::statistics(const Job& job) const {
     FrameStatistics out;
-    out.render_seconds = seconds_between(*job.started, Clock::now());
+    if (job.started) out.render_seconds = seconds_between(*job.started, Clock::now());
     out.passes = job.sums->passes();
     out.rays = job.rays;
     out.sanitised = job.sanitised;

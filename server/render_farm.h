@@ -24,6 +24,13 @@ struct FinishedFrame {
     FrameStatistics statistics;
 };
 
+/// A frame on its way, as FrameSums::resume takes it.
+struct SavedFrame {
+    std::shared_ptr<const Bytes> sums;
+    double render_seconds = 0;
+    std::uint64_t rays = 0;
+};
+
 /// What the viewer's session wants to hear; called on the strand. After `done` or `failed` nothing
 /// more comes.
 struct FrameObserver {
@@ -50,9 +57,13 @@ public:
     /// No new frames of the scene will come: workers drop it after those in flight.
     void drop_scene(const std::string& name);
 
-    /// Returns the number of the frame. It waits for workers if there are none.
+    /// Returns the number of the frame. It waits for workers if there are none, and goes on from
+    /// `sums` if there are any.
     std::uint64_t begin_frame(const FrameRequest& request, const ReadyScene& scene,
-                              FrameObserver observer);
+                              FrameObserver observer, std::shared_ptr<FrameSums> sums = {});
+    /// `saved` is called with what the frame has added up to so far, empty before the first run is
+    /// complete, unless the frame is over before. One at a time; the frame goes on.
+    void save_frame(std::uint64_t frame, std::function<void(SavedFrame)> saved);
     /// Nothing more is said about the frame. A frame that is over is no error.
     void cancel_frame(std::uint64_t frame);
 
@@ -94,6 +105,7 @@ private:
     std::string why_hopeless(const Job& job) const;
 
     void fold_next(Job& job);
+    void save_sums(Job& job);
     void run_folded(std::uint64_t frame, RunBuffer run);
     void write_trace(const Job& job);
     void run_seen(std::uint64_t frame, RunBuffer run);

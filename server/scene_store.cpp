@@ -15,20 +15,25 @@ constexpr std::size_t longest_stem = 200;
 /// Open scenes stay, so viewers may not make them without end.
 constexpr std::size_t most_open = 64;
 
-void set_version(StoredScene& stored, SceneVersion version, const BlobStore& blobs) {
-    stored.now.scene = std::make_shared<const SceneVersion>(std::move(version));
+void set_version(StoredScene& stored, std::shared_ptr<const SceneVersion> version,
+                 const BlobStore& blobs) {
+    stored.now.scene = std::move(version);
     stored.now.blobs = blobs;
     stored.bytes = blobs.bytes();
 }
 
 }  // namespace
 
-ScenePtr SceneStore::open(const std::string& name, Scene scene, const BlobStore& blobs) {
+void SceneStore::reserve(const std::string& name) {
     if (is_taken(name)) throw UserError(fmt::format("two scenes are called '{}'", name));
-    if (open_.size() >= most_open)
+    if (open_.size() + reserved_.size() >= most_open)
         throw UserError(fmt::format("the server holds {} open scenes already", most_open));
-    make_names_unique(scene);
-    open_.push_back(add(name, {.version = 1, .scene = std::move(scene)}, blobs));
+    reserved_.insert(name);
+}
+
+ScenePtr SceneStore::open(const ReadyScene& scene) {
+    CHECK(reserved_.erase(scene.name) == 1);
+    open_.push_back(add(scene));
     return open_.back();
 }
 
@@ -38,7 +43,9 @@ ScenePtr SceneStore::publish(const ScenePtr& before, const ReadyScene& uploaded)
         if (other->now.scene->scene == scene && !is_open(other)) return other;
     // Held by the viewer's session alone: its argument is a reference to what the session holds.
     if (before && before.use_count() == 1) {
-        set_version(*before, {.version = before->now.scene->version + 1, .scene = scene},
+        set_version(*before,
+                    std::make_shared<const SceneVersion>(
+                        SceneVersion{before->now.scene->version + 1, scene}),
                     uploaded.blobs);
         return before;
     }
@@ -47,24 +54,22 @@ ScenePtr SceneStore::publish(const ScenePtr& before, const ReadyScene& uploaded)
     };
     std::string name = numbered();
     while (is_taken(name)) name = numbered();
-    return add(name, {.version = 1, .scene = scene}, uploaded.blobs);
+    return add({.name = name,
+                .scene = std::make_shared<const SceneVersion>(SceneVersion{1, scene}),
+                .blobs = uploaded.blobs});
 }
 
-std::vector<std::string> SceneStore::edit(const ScenePtr& scene,
-                                          const std::vector<EditOperation>& operations) {
-    const SceneVersion& now = *scene->now.scene;
-    EditedScene edited = apply_edits(now.scene, operations);
-    if (edited.scene == now.scene) return edited.complaints;
-    set_version(*scene, {.version = now.version + 1, .scene = std::move(edited.scene)},
-                scene->now.blobs);
+void SceneStore::advance(const ScenePtr& scene, std::shared_ptr<const SceneVersion> version,
+                         const BlobStore& blobs) {
+    set_version(*scene, std::move(version), blobs);
     const auto watchers = scene->watchers;  // they may come and go as they hear of it
     for (const auto& [who, tell] : watchers) tell();
-    return edited.complaints;
 }
 
 bool SceneStore::is_taken(const std::string& name) const {
     const std::vector<ScenePtr> scenes = all();
-    return std::any_of(scenes.begin(), scenes.end(),
+    return reserved_.contains(name) ||
+           std::any_of(scenes.begin(), scenes.end(),
                        [&](const ScenePtr& s) { return s->now.name == name; });
 }
 
@@ -91,11 +96,11 @@ std::vector<ScenePtr> SceneStore::all() const {
     return out;
 }
 
-ScenePtr SceneStore::add(const std::string& name, SceneVersion version, const BlobStore& blobs) {
+ScenePtr SceneStore::add(const ReadyScene& scene) {
     std::erase_if(scenes_, [](const auto& weak) { return weak.expired(); });
     const auto stored = std::make_shared<StoredScene>();
-    stored->now.name = name;
-    set_version(*stored, std::move(version), blobs);
+    stored->now.name = scene.name;
+    set_version(*stored, scene.scene, scene.blobs);
     scenes_.push_back(stored);
     return stored;
 }

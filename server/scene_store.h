@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -26,18 +27,21 @@ using ScenePtr = std::shared_ptr<StoredScene>;
 
 class SceneStore {
 public:
-    /// A new open scene; its names become unique. Throws UserError when there is one of that name.
-    ScenePtr open(const std::string& name, Scene scene, const BlobStore& blobs);
+    /// Keeps a name for a new open scene. Throws UserError when there is a scene of that name, or
+    /// too many are open.
+    void reserve(const std::string& name);
+    void release(const std::string& name) { reserved_.erase(name); }
+    /// A new open scene, whose name has been reserved; the names in its tables are unique.
+    ScenePtr open(const ReadyScene& scene);
 
     /// What the viewer that held `before` (or nothing) under this name holds after its upload: an
     /// equal scene that somebody has uploaded if there is one, else a new version of `before` if
     /// nobody shares it, else a new scene.
     ScenePtr publish(const ScenePtr& before, const ReadyScene& uploaded);
 
-    /// Makes the next version of an open scene if there is anything to change, and tells its
-    /// watchers. Returns the complaints.
-    std::vector<std::string> edit(const ScenePtr& scene,
-                                  const std::vector<EditOperation>& operations);
+    /// The scene has a newer version, and its watchers hear of it.
+    void advance(const ScenePtr& scene, std::shared_ptr<const SceneVersion> version,
+                 const BlobStore& blobs);
 
     /// Null when there is no open scene of that name.
     ScenePtr find_open(const std::string& name) const;
@@ -48,9 +52,10 @@ public:
 private:
     bool is_taken(const std::string& name) const;
     bool is_open(const ScenePtr& scene) const;
-    ScenePtr add(const std::string& name, SceneVersion version, const BlobStore& blobs);
+    ScenePtr add(const ReadyScene& scene);
 
     std::vector<ScenePtr> open_;
+    std::set<std::string> reserved_;
     std::uint64_t uploads_ = 0;
     std::vector<std::weak_ptr<StoredScene>> scenes_;  ///< open and uploaded
 };

@@ -122,14 +122,15 @@ std::uint32_t Scheduler::leases(std::uint64_t worker) const {
 
 // ---- Frames -------------------------------------------------------------------------------------
 
-void Scheduler::add_frame(const FrameSpec& spec, std::uint32_t run_limit) {
+void Scheduler::add_frame(const FrameSpec& spec, std::uint32_t run_limit, std::uint32_t first_run) {
     Frame frame;
     frame.spec = spec;
     frame.runs = run_count(spec.settings);
     frame.run_limit = std::min(run_limit, frame.runs);
     frame.costs = memory_.recall(spec);
     frame.order = frame.costs.order();
-    frame.undone = std::uint64_t(frame.runs) * tile_count(spec.size);
+    frame.next_run = frame.first_open = first_run;
+    frame.undone = std::uint64_t(frame.runs - first_run) * tile_count(spec.size);
     CHECK(frames_.emplace(spec.frame, std::move(frame)).second);
 }
 

@@ -94,8 +94,9 @@ public:
     /// The worker has shown that it lives, with an answer that took `seconds` there and back.
     void round_trip(std::uint64_t worker, double seconds);
 
-    /// Runs before `run_limit` may be handed out (FrameAssembler::run_limit).
-    void add_frame(const FrameSpec& spec, std::uint32_t run_limit);
+    /// Runs before `run_limit` may be handed out (FrameAssembler::run_limit), those before
+    /// `first_run` are done already.
+    void add_frame(const FrameSpec& spec, std::uint32_t run_limit, std::uint32_t first_run = 0);
     /// Moves the limit on; runs in front of it are handed out in order.
     void allow_runs(std::uint64_t frame, std::uint32_t run_limit);
     /// Nothing from `runs` on is wanted any more.

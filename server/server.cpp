@@ -103,11 +103,13 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
             "--keys FOLDER/server, or listen on 127.0.0.1",
             config.listen));
     listen_on(acceptor_, endpoint);
+    writer_.emplace(scenes_, farm_,
+                    config.journal.empty() ? nullptr : std::make_unique<Journal>(config.journal));
     if (!config.metrics.empty()) metrics_.emplace(io, config.metrics, [this] { return status(); });
 }
 
 void Server::add_scene(const std::string& name, const SceneBundle& bundle) {
-    farm_.keep_ready(scenes_.open(name, bundle.scene, bundle.blobs));
+    writer_->open_now(name, bundle);
 }
 
 std::string Server::address() const { return describe(acceptor_.local_endpoint()); }
@@ -160,7 +162,7 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
             ++viewers_;
             const auto viewer = std::make_shared<ViewerSession>(
                 *hello, connection, may_edit(*hello), [this] { return status(); });
-            co_await hold_session(viewer, viewer->run(farm_, scenes_), farm_);
+            co_await hold_session(viewer, viewer->run(farm_, scenes_, *writer_), farm_);
             --viewers_;
         }
     }

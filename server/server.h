@@ -12,7 +12,7 @@
 #include "common/keys.h"
 #include "server/metrics_endpoint.h"
 #include "server/render_farm.h"
-#include "server/scene_store.h"
+#include "server/scene_writer.h"
 #include "server/viewer_session.h"
 #include "server/worker_session.h"
 
@@ -25,6 +25,8 @@ struct ServerConfig {
     std::filesystem::path keys;
     /// Without keys what peers must prove to know; empty: anybody may come in.
     std::string token;
+    /// Where open scenes outlive the server; empty: they do not.
+    std::filesystem::path journal = {};
     unsigned fold_threads = 2;
     std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
     std::filesystem::path trace = {};  ///< file for the timeline of the last frame; empty: none
@@ -35,11 +37,14 @@ struct ServerConfig {
 
 class Server {
 public:
-    /// Listens at once. Throws UserError naming the address and what to do.
+    /// Listens at once, and opens the scenes of its journal. Throws UserError naming the address or
+    /// file and what to do.
     Server(asio::io_context& io, const ServerConfig& config);
 
-    /// A scene that every viewer may use. Throws UserError when there is one of that name.
+    /// A scene that every viewer may use; it takes the place of one of that name that is open
+    /// already. Before `start`. Throws UserError.
     void add_scene(const std::string& name, const SceneBundle& bundle);
+    bool holds_scene(const std::string& name) const { return scenes_.find_open(name) != nullptr; }
 
     /// "host:port", with the port that was taken.
     std::string address() const;
@@ -65,6 +70,7 @@ private:
     std::chrono::steady_clock::time_point started_;
     SceneStore scenes_;
     RenderFarm farm_;
+    std::optional<SceneWriter> writer_;
     std::optional<MetricsEndpoint> metrics_;
     std::uint64_t last_peer_ = 0;
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;  ///< all that are open

@@ -19,12 +19,19 @@ constexpr std::size_t most_frames = 16;
 constexpr unsigned most_blob_requests = 16;
 /// Views of one viewer.
 constexpr std::size_t most_views = 16;
+/// Changes of one viewer that may wait for the journal: enough for a batch to be worth its while.
+constexpr std::size_t most_unwritten = 64;
 /// Pictures of views that may be under way: one being read while the next one travels.
 constexpr std::uint64_t most_unread_pictures = 2;
 
 /// Runs on the pool: tone mapping a large picture takes longer than the strand may be held up.
 asio::awaitable<std::vector<PicturePart>> make_parts(const FinishedFrame& frame) {
     co_return parts_of(frame);
+}
+/// Null when these are no sums of such a frame.
+asio::awaitable<std::shared_ptr<FrameSums>> resumed(const FrameSpec& spec, const Bytes& saved) {
+    const auto sums = std::make_shared<FrameSums>(spec);
+    co_return sums->resume(saved) ? sums : nullptr;
 }
 asio::awaitable<PicturePart> make_part(const LivePicture& picture) { co_return part_of(picture); }
 
@@ -47,15 +54,34 @@ ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> con
       connection_(std::move(connection)),
       may_edit_(may_edit),
       status_(std::move(status)),
-      news_(connection_->executor()) {}
+      news_(connection_->executor()),
+      written_(connection_->executor()) {}
 
-asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store) {
+asio::awaitable<void> ViewerSession::run(RenderFarm& farm, SceneStore& store, SceneWriter& writer) {
     const auto self = shared_from_this();
     spdlog::info("{} joins", description_);
     asio::co_spawn(
         connection_->executor(), [self, pool = farm.pool()] { return self->keep_informed(pool); },
         asio::detached);
-    for (;;) handle(co_await connection_->receive(), farm, store);
+    for (;;) {
+        Message message = co_await connection_->receive();
+        // A frame is of the newest version, with what its viewer has changed before.
+        if (message.get<FrameRequest>()) co_await wait_for_writes(0);
+        const bool shares = message.get<SceneShare>();
+        handle(std::move(message), farm, store, writer);
+        if (resuming_ && resuming_->sums.size() == resuming_->request.sums_bytes)
+            co_await resume_frame(farm, store);
+        // What follows may be about the scene that is shared.
+        co_await wait_for_writes(shares ? 0 : most_unwritten);
+    }
+}
+
+asio::awaitable<void> ViewerSession::wait_for_writes(std::size_t most) {
+    boost::system::error_code cancelled;
+    while (unwritten_ > most) {
+        written_.expires_at(std::chrono::steady_clock::time_point::max());
+        co_await written_.async_wait(asio::redirect_error(asio::use_awaitable, cancelled));
+    }
 }
 
 void ViewerSession::leave(RenderFarm& farm) {
@@ -69,7 +95,8 @@ void ViewerSession::leave(RenderFarm& farm) {
     scenes_.clear();
 }
 
-void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store) {
+void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
+                           SceneWriter& writer) {
     if (const auto* update = message.get<SceneUpdate>()) {
         if (!may_edit_)
             return fail(0, fmt::format("scene {} is not taken: this viewer's keys are to look, not "
@@ -82,11 +109,11 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
         receiver_.add(*chunk, message.payload.bytes);
         publish_ready_scenes(farm, store);
     } else if (const auto* shared = message.get<SceneShare>()) {
-        share(*shared, farm, store);
+        share(*shared, farm, writer);
     } else if (const auto* watched = message.get<SceneWatch>()) {
         watch(*watched, store);
     } else if (const auto* edited = message.get<SceneEdit>()) {
-        edit(*edited, farm, store);
+        edit(*edited, store, writer);
     } else if (const auto* wanted = message.get<BlobRequest>()) {
         send_blobs_of(*wanted, store);
     } else if (const auto* view = message.get<View>()) {
@@ -94,7 +121,11 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
     } else if (const auto* ended = message.get<ViewEnd>()) {
         end_view(ended->request);
     } else if (const auto* request = message.get<FrameRequest>()) {
-        begin_frame(*request, farm, store);
+        request->sums_bytes > 0 ? expect_sums(*request) : begin_frame(*request, farm, store);
+    } else if (const auto* sums = message.get<SumsChunk>()) {
+        add_sums(*sums, message.payload.bytes);
+    } else if (const auto* save = message.get<FrameSave>()) {
+        save_frame(save->request, farm);
     } else if (const auto* cancel = message.get<FrameCancel>()) {
         cancel_frame(cancel->request, farm);
     } else if (message.get<StatusRequest>()) {
@@ -123,22 +154,27 @@ void ViewerSession::publish_ready_scenes(RenderFarm& farm, SceneStore& store) {
     }
 }
 
-/// The scene is the viewer's own no longer.
-void ViewerSession::share(const SceneShare& share, RenderFarm& farm, SceneStore& store) {
+/// Once it is written, the scene is the viewer's own no longer.
+void ViewerSession::share(const SceneShare& share, RenderFarm& farm, SceneWriter& writer) {
     const auto own = scenes_.find(share.scene);
     if (own == scenes_.end())
         return fail(0, fmt::format("there is no scene '{}' to share; upload it first and wait "
                                    "until it is ready",
                                    share.scene));
-    try {
-        const ReadyScene& scene = own->second->now;
-        farm.keep_ready(store.open(share.scene, scene.scene->scene, scene.blobs));
-    } catch (const UserError& error) {
-        return fail(0, error.what());
-    }
-    if (own->second.use_count() == 1) farm.drop_scene(own->second->now.name);
-    scenes_.erase(own);
-    receiver_.drop(share.scene);
+    ReadyScene scene = own->second->now;
+    scene.name = share.scene;
+    ++unwritten_;
+    writer.open(scene, [self = shared_from_this(), &farm,
+                        name = share.scene](const Complaints& complaints) {
+        --self->unwritten_;
+        self->written_.cancel();
+        for (const std::string& complaint : complaints) self->fail(0, complaint);
+        const auto held = self->scenes_.find(name);
+        if (!complaints.empty() || held == self->scenes_.end()) return;
+        if (held->second.use_count() == 1) farm.drop_scene(held->second->now.name);
+        self->scenes_.erase(held);
+        self->receiver_.drop(name);
+    });
 }
 
 void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
@@ -149,19 +185,26 @@ void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
     news_.cancel();
 }
 
-void ViewerSession::edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store) {
+void ViewerSession::edit(const SceneEdit& edit, SceneStore& store, SceneWriter& writer) {
     const ScenePtr scene = store.find_open(edit.scene);
     EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
     if (!may_edit_) {
         result.complaints = {"this viewer's keys are to look, not to edit; use an editor's keys"};
-    } else if (scene) {
-        result.complaints = store.edit(scene, edit.operations);
-        result.version = scene->now.scene->version;
-        farm.scene_changed(edit.scene);
-    } else {
-        result.complaints = {no_open_scene(edit.scene, store)};
+        return connection_->send({std::move(result), {}});
     }
-    connection_->send({std::move(result), {}});
+    if (!scene) {
+        result.complaints = {no_open_scene(edit.scene, store)};
+        return connection_->send({std::move(result), {}});
+    }
+    ++unwritten_;
+    writer.edit(scene, edit.operations,
+                [self = shared_from_this(), scene, result](const Complaints& complaints) mutable {
+                    --self->unwritten_;
+                    self->written_.cancel();
+                    result.version = scene->now.scene->version;
+                    result.complaints = complaints;
+                    self->connection_->send({std::move(result), {}});
+                });
 }
 
 void ViewerSession::send_blobs_of(const BlobRequest& request, SceneStore& store) {
@@ -262,7 +305,69 @@ asio::awaitable<void> ViewerSession::send_part(const PicturePart& part) {
     }
 }
 
-void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store) {
+void ViewerSession::expect_sums(const FrameRequest& request) {
+    if (resuming_) throw ProtocolError("sends sums of two frames at once");
+    if (request.sums_bytes != FrameSums::saved_bytes(request.spec))
+        throw ProtocolError(fmt::format("announces {} bytes of sums for a frame that has {}",
+                                        request.sums_bytes, FrameSums::saved_bytes(request.spec)));
+    resuming_ = {.request = request, .sums = {}};
+}
+
+void ViewerSession::add_sums(const SumsChunk& chunk, std::span<const std::byte> bytes) {
+    if (!resuming_ || chunk.request != resuming_->request.request ||
+        chunk.total != resuming_->request.sums_bytes || chunk.offset != resuming_->sums.size())
+        throw ProtocolError("sends sums that no frame waits for");
+    resuming_->sums.insert(resuming_->sums.end(), bytes.begin(), bytes.end());
+}
+
+asio::awaitable<void> ViewerSession::resume_frame(RenderFarm& farm, SceneStore& store) {
+    const Resuming whole = std::move(*resuming_);
+    resuming_.reset();
+    const auto sums = co_await asio::co_spawn(farm.pool(), resumed(whole.request.spec, whole.sums),
+                                              asio::use_awaitable);
+    if (sums)
+        begin_frame(whole.request, farm, store, sums);
+    else
+        fail(whole.request.request, "the sums are none of such a frame; begin it anew");
+}
+
+/// One at a time, so that what waits to be sent stays bounded.
+void ViewerSession::save_frame(std::uint64_t request, RenderFarm& farm) {
+    const auto found = frames_.find(request);
+    if (found == frames_.end() || frames_.contains(saving_)) return;
+    saving_ = request;
+    farm.save_frame(found->second, [weak = weak_from_this(), request](SavedFrame saved) {
+        const auto self = weak.lock();
+        if (!self) return;
+        asio::co_spawn(self->connection_->executor(), self->send_sums(request, std::move(saved)),
+                       asio::detached);
+    });
+}
+
+asio::awaitable<void> ViewerSession::send_sums(std::uint64_t request, SavedFrame saved) {
+    const auto self = shared_from_this();
+    SumsChunk chunk{.request = request,
+                    .offset = 0,
+                    .total = saved.sums ? saved.sums->size() : 0,
+                    .render_seconds = saved.render_seconds,
+                    .rays = saved.rays};
+    try {
+        do {
+            const std::size_t size = std::min<std::size_t>(chunk_bytes, chunk.total - chunk.offset);
+            const auto bytes = saved.sums ? std::span(*saved.sums).subspan(chunk.offset, size)
+                                          : std::span<const std::byte>();
+            co_await connection_->wait_until_drained(chunk_bytes);
+            connection_->send_bulk({chunk, {saved.sums, bytes}});
+            chunk.offset += size;
+        } while (chunk.offset < chunk.total);
+    } catch (const boost::system::system_error&) {
+        // The viewer has gone.
+    }
+    saving_ = 0;
+}
+
+void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store,
+                                std::shared_ptr<FrameSums> sums) {
     const auto own = scenes_.find(request.spec.scene);
     const ScenePtr scene = own != scenes_.end() ? own->second : store.find_open(request.spec.scene);
     if (!scene) return fail(request.request, no_scene(request.spec.scene, store));
@@ -293,7 +398,8 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
                  if (!self) return;
                  self->frames_.erase(number);
                  self->fail(number, reason);
-             }});
+             }},
+        std::move(sums));
 }
 
 void ViewerSession::cancel_frame(std::uint64_t request, RenderFarm& farm) {

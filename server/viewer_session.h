@@ -8,7 +8,7 @@
 
 #include "server/picture_parts.h"
 #include "server/render_farm.h"
-#include "server/scene_store.h"
+#include "server/scene_writer.h"
 
 namespace tessera {
 
@@ -19,22 +19,29 @@ public:
                   std::function<Status()> status);
 
     /// Serves the viewer; throws ProtocolError or boost::system::system_error when that ends.
-    asio::awaitable<void> run(RenderFarm& farm, SceneStore& store);
+    asio::awaitable<void> run(RenderFarm& farm, SceneStore& store, SceneWriter& writer);
     /// To be called after `run`: ends the viewer's frames and gives up its scenes.
     void leave(RenderFarm& farm);
 
     const std::string& description() const { return description_; }  ///< for logs
 
 private:
-    void handle(Message message, RenderFarm& farm, SceneStore& store);
+    void handle(Message message, RenderFarm& farm, SceneStore& store, SceneWriter& writer);
+    asio::awaitable<void> wait_for_writes(std::size_t most);
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
-    void share(const SceneShare& share, RenderFarm& farm, SceneStore& store);
+    void share(const SceneShare& share, RenderFarm& farm, SceneWriter& writer);
     void watch(const SceneWatch& watch, SceneStore& store);
-    void edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store);
+    void edit(const SceneEdit& edit, SceneStore& store, SceneWriter& writer);
     void send_blobs_of(const BlobRequest& request, SceneStore& store);
     void show(const View& view, RenderFarm& farm, SceneStore& store);
     void end_view(std::uint64_t request);
-    void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store);
+    void begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store,
+                     std::shared_ptr<FrameSums> sums = {});
+    void expect_sums(const FrameRequest& request);
+    void add_sums(const SumsChunk& chunk, std::span<const std::byte> bytes);
+    asio::awaitable<void> resume_frame(RenderFarm& farm, SceneStore& store);
+    void save_frame(std::uint64_t request, RenderFarm& farm);
+    asio::awaitable<void> send_sums(std::uint64_t request, SavedFrame saved);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
     asio::awaitable<void> send_frame(FinishedFrame frame, asio::any_io_executor pool);
@@ -63,8 +70,17 @@ private:
     std::uint64_t pictures_sent_ = 0;
     std::uint64_t pictures_read_ = 0;  ///< as far as the viewer has said
     asio::steady_timer news_;          ///< cancelled whenever there is something to tell
+    std::size_t unwritten_ = 0;        ///< changes that are not in the journal yet
+    asio::steady_timer written_;       ///< cancelled whenever there are fewer
     unsigned blob_requests_ = 0;       ///< being answered
     std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
+    /// A frame that goes on from sums which are still on their way.
+    struct Resuming {
+        FrameRequest request;
+        Bytes sums;
+    };
+    std::optional<Resuming> resuming_;
+    std::uint64_t saving_ = 0;  ///< request whose sums are being saved or sent; 0: none
 };
 
 }  // namespace tessera

@@ -8,8 +8,10 @@
 
 #include "client/local_cluster.h"
 #include "client/render_client.h"
+#include "client/restart_bench.h"
 #include "common/check.h"
 #include "common/generator.h"
+#include "tests/temp_dir.h"
 
 namespace tessera {
 namespace {
@@ -86,6 +88,21 @@ TEST(Cluster, wrong_token_is_refused_with_a_reason) {
     } catch (const UserError& error) {
         EXPECT_NE(std::string(error.what()).find("token"), std::string::npos) << error.what();
     }
+}
+
+TEST(Cluster, a_server_that_is_killed_comes_back_with_every_edit) {
+    const TempDir dir;
+    RestartReport report;
+    bench_restarts({.cluster = {.workers = 1,
+                                .threads = 1,
+                                .log_level = "error",
+                                .journal = dir.file("journal"),
+                                .programs = TESSERA_PROGRAMS},
+                    .kills = 20},
+                   report);
+    EXPECT_EQ(report.kills, 20);
+    EXPECT_GT(report.edits, 20u);
+    EXPECT_EQ(report.lost, 0u);
 }
 
 TEST(Cluster, children_are_gone_with_the_cluster) {

@@ -86,6 +86,46 @@ TEST(Frame, any_order_and_duplication_gives_the_same_bits) {
     }
 }
 
+TEST(Frame, sums_that_were_saved_go_on_to_the_same_bits) {
+    for (const FilterPlace filter : {FilterPlace::server, FilterPlace::off})
+        for (const Integrator integrator : {Integrator::igi, Integrator::path}) {
+            FrameSpec spec = small_frame(integrator, integrator == Integrator::igi ? 5 : 70);
+            spec.settings.filter = filter;
+            const Assembly expected = assemble_in_order(spec);
+            Assembly begun(spec);
+            for (const TileTask& task : all_tasks(spec)) {
+                begun.add(task);
+                const std::uint32_t runs_before = begun.sums.runs();
+                begun.fold(spec.size.height);
+                if (begun.sums.runs() == runs_before) continue;
+
+                // Another server takes over here.
+                Assembly rest(spec);
+                ASSERT_TRUE(rest.sums.resume(begun.sums.saved()));
+                rest.assembler = FrameAssembler(spec, rest.sums.runs());
+                for (const TileTask& later : all_tasks(spec)) {
+                    if (*run_of(spec, later) < rest.sums.runs()) continue;
+                    EXPECT_EQ(rest.add(later), Arrival::stored);
+                    rest.fold(spec.size.height);
+                }
+                EXPECT_TRUE(rest.assembler.finished());
+                EXPECT_EQ(rest.sums.passes(), expected.sums.passes());
+                expect_same_bits(rest, expected);
+            }
+        }
+}
+
+TEST(Frame, sums_of_other_frames_are_refused) {
+    const FrameSpec spec = small_frame(Integrator::igi, 5);
+    const Bytes saved = assemble_in_order(spec).sums.saved();
+    FrameSpec larger = spec;
+    ++larger.size.width;
+    EXPECT_FALSE(FrameSums(larger).resume(saved));
+    EXPECT_FALSE(FrameSums(small_frame(Integrator::igi, 4)).resume(saved));  // has 5 runs
+    EXPECT_FALSE(FrameSums(spec).resume(std::span(saved).first(saved.size() - 1)));
+    EXPECT_FALSE(FrameSums(spec).resume({}));
+}
+
 TEST(Frame, picture_is_the_mean_of_radiance_and_filtered_irradiance) {
     const FrameSpec spec = small_frame(Integrator::igi, 1);
     Assembly frame(spec);

@@ -46,6 +46,7 @@ TEST(Messages, kinds_have_the_published_numbers) {
     EXPECT_EQ(kind_of({Pong{}, {}}), 22);
     EXPECT_EQ(kind_of({EditResult{}, {}}), 26);
     EXPECT_EQ(kind_of({Leave{}, {}}), 30);
+    EXPECT_EQ(kind_of({SumsChunk{}, {}}), 32);
 }
 
 TEST(Messages, every_truncation_is_refused) {
@@ -179,7 +180,7 @@ TEST(Messages, payloads_belong_to_their_kinds) {
     EXPECT_THROW(decode(odd, {}, {bytes, std::span(*bytes).first(5)}), ProtocolError);
     EXPECT_THROW(decode({.kind = 0}, {}, {}), ProtocolError);
     EXPECT_THROW(decode({.kind = RandomMessage::kinds + 1}, {}, {}), ProtocolError);
-    EXPECT_THROW(decode({.kind = 31}, {}, {}), ProtocolError);
+    EXPECT_THROW(decode({.kind = 33}, {}, {}), ProtocolError);
 }
 
 TEST(Messages, a_payload_is_shared_and_not_copied) {

@@ -21,6 +21,8 @@ public:
             message.payload = payload(chunk->total - chunk->offset);
         if (const auto* chunk = message.get<PictureChunk>())
             message.payload = payload(std::min<std::uint64_t>(chunk->total - chunk->offset, 999));
+        if (const auto* chunk = message.get<SumsChunk>())
+            message.payload = payload(std::min<std::uint64_t>(chunk->total - chunk->offset, 999));
         return message;
     }
 
@@ -203,7 +205,18 @@ private:
                 .format = one_of(PictureFormat::srgb8),
                 .tone_map = {.curve = one_of(ToneCurve::filmic), .exposure = real()},
                 .time_limit = amount(),
-                .error_limit = amount()};
+                .error_limit = amount(),
+                .sums_bytes = big()};
+    }
+    FrameSave make_one(FrameSave) { return {.request = big()}; }
+    SumsChunk make_one(SumsChunk) {
+        SumsChunk out{.request = big(),
+                      .offset = 0,
+                      .total = 1 + below(1u << 30),
+                      .render_seconds = amount(),
+                      .rays = big()};
+        out.offset = below(out.total);
+        return out;
     }
     FrameCancel make_one(FrameCancel) { return {.request = big()}; }
     FrameProgress make_one(FrameProgress) {

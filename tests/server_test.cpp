@@ -4,6 +4,8 @@
 #include "server/server.h"
 
 #include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/resource.h>
 
 #include <cstring>
 #include <fstream>
@@ -25,10 +27,12 @@ struct Host {
     asio::io_context io;
     Server server;
 
-    explicit Host(const std::string& token = "", const std::filesystem::path& keys = {})
+    explicit Host(const std::string& token = "", const std::filesystem::path& keys = {},
+                  const std::filesystem::path& journal = {})
         : server(io, {.listen = "127.0.0.1:0",
                       .keys = keys,
                       .token = token,
+                      .journal = journal,
                       .handshake_deadline = 200ms}) {
         server.start();
     }
@@ -684,6 +688,128 @@ TEST(Server, a_shared_scene_is_open_to_others_and_outlives_its_viewer) {
         viewer->send({SceneShare{"scene"}, {}});
         const Message taken = co_await receive<Failure>(viewer);
         EXPECT_NE(taken.get<Failure>()->reason.find("'scene'"), std::string::npos);
+    });
+}
+
+// ---- The journal, and frames that go on
+// ----------------------------------------------------------
+
+TEST(Server, open_scenes_outlive_it) {
+    const TempDir dir;
+    {
+        Host host("", {}, dir.file("j"));
+        host.server.add_scene("scene", small_scene(1));
+        host.run([&]() -> asio::awaitable<void> {
+            const auto viewer = co_await join(host, Role::viewer);
+            co_await upload(viewer, small_scene(2));
+            // The viewer's own scene has the name of an open one: it cannot be opened, too.
+            viewer->send({SceneShare{"scene"}, {}});
+            co_await receive<Failure>(viewer);
+            for (float x = 1; x < 40; ++x) viewer->send({SceneEdit{7, "scene", {moved(x)}}, {}});
+            const std::vector<EditOperation> last = {moved(40)};
+            const EditResult result = co_await edit(viewer, last);
+            EXPECT_TRUE(result.complaints.empty());
+            for (int i = 1; i < 40; ++i) co_await receive<EditResult>(viewer);
+        });
+    }
+    Host host("", {}, dir.file("j"));
+    EXPECT_TRUE(host.server.holds_scene("scene"));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        Watcher watcher;
+        watcher.connection = co_await join(host, Role::viewer);
+        watcher.connection->send({SceneWatch{"scene"}, {}});
+        co_await watcher.catch_up(41);
+        EXPECT_EQ(watcher.held.scene.instances[0].world_from_object[3].x, 40);
+        EXPECT_EQ(watcher.held.scene.meshes, small_scene(1).scene.meshes);
+        // A frame that is asked for behind an edit has it.
+        watcher.connection->send({SceneEdit{8, "scene", {moved(41)}}, {}});
+        expect_exact(co_await render(watcher.connection, small_request()), small_request().spec);
+    });
+}
+
+TEST(Server, what_cannot_be_written_is_refused_and_not_shown) {
+    const TempDir dir;
+    Host host("", {}, dir.file("j"));
+    host.server.add_scene("scene", small_scene(1));
+    rlimit before{};
+    ASSERT_EQ(getrlimit(RLIMIT_FSIZE, &before), 0);
+    signal(SIGXFSZ, SIG_IGN);
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        co_await upload(viewer, small_scene(2));
+        const rlimit small{
+            .rlim_cur = std::filesystem::file_size(dir.file("j") / "journal.sqlite-wal"),
+            .rlim_max = before.rlim_max};
+        setrlimit(RLIMIT_FSIZE, &small);
+        const std::vector<EditOperation> one = {moved(1)}, two = {moved(2)};
+        EditResult result = co_await edit(viewer, one);
+        while (result.complaints.empty()) result = co_await edit(viewer, two);
+        EXPECT_NE(result.complaints.front().find("make room"), std::string::npos);
+        const std::uint64_t version = result.version;
+        setrlimit(RLIMIT_FSIZE, &before);
+        const std::vector<EditOperation> three = {moved(3)};
+        result = co_await edit(viewer, three);
+        EXPECT_TRUE(result.complaints.empty());
+        EXPECT_EQ(result.version, version + 1);
+    });
+    setrlimit(RLIMIT_FSIZE, &before);
+}
+
+/// The sums of the viewer's frame after at least one pass.
+asio::awaitable<Bytes> save(std::shared_ptr<Connection> viewer, std::uint64_t request) {
+    Bytes sums;
+    for (;;) {
+        viewer->send({FrameSave{request}, {}});
+        for (;;) {
+            const Message message = co_await receive<SumsChunk>(viewer);
+            const auto* chunk = message.get<SumsChunk>();
+            sums.insert(sums.end(), message.payload.bytes.begin(), message.payload.bytes.end());
+            if (chunk->offset + message.payload.bytes.size() == chunk->total) break;
+        }
+        if (!sums.empty()) co_return sums;
+    }
+}
+
+TEST(Server, a_frame_goes_on_elsewhere_to_the_same_bits) {
+    FrameRequest request = small_request();
+    request.spec.settings.passes = 400;
+    Bytes sums;
+    Host first, second;
+    first.run([&]() -> asio::awaitable<void> {
+        start_worker(first);
+        const auto viewer = co_await join(first, Role::viewer);
+        co_await upload(viewer, small_scene(1));
+        viewer->send({request, {}});
+        sums = co_await save(viewer, request.request);
+    });
+    second.run([&]() -> asio::awaitable<void> {
+        start_worker(second);
+        const auto viewer = co_await join(second, Role::viewer);
+        co_await upload(viewer, small_scene(1));
+        request.sums_bytes = sums.size();
+        viewer->send({request, {}});
+        for (SumsChunk chunk{.request = request.request, .total = sums.size()};
+             chunk.offset < chunk.total;) {
+            const std::size_t size = std::min<std::size_t>(chunk_bytes, chunk.total - chunk.offset);
+            viewer->send({chunk, {nullptr, std::span(sums).subspan(chunk.offset, size)}});
+            chunk.offset += size;
+        }
+        auto received = co_await pictures(viewer, 1);
+        const Picture& picture = received.at(request.request);
+        EXPECT_GT(picture.progress.front().passes_done, 0u);
+        expect_exact(picture, request.spec);
+    });
+}
+
+TEST(Server, sums_that_do_not_fit_cost_the_viewer_its_session) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        FrameRequest request = small_request();
+        request.sums_bytes = 100;
+        viewer->send({request, {}});
+        EXPECT_TRUE(co_await closes(viewer));
     });
 }
 

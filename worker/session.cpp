@@ -35,11 +35,14 @@ std::string error_of(Work work) {
 WorkerPools::WorkerPools(unsigned render_threads)
     : render(render_threads, max_tasks), scenes(1, max_frames), frames(1, 2 * max_frames) {}
 
-Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads)
+Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads,
+                 const BlobStore& known)
     : connection_(std::move(connection)),
       executor_(connection_->executor()),
       pools_(pools),
-      build_threads_(build_threads) {}
+      build_threads_(build_threads) {
+    receiver_.know(known);
+}
 
 Session::~Session() {
     connection_->close();

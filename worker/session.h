@@ -33,12 +33,14 @@ struct WorkerPools {
 
 class Session : public std::enable_shared_from_this<Session> {
 public:
-    /// `build_threads`: for building a scene.
-    Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads);
+    /// `build_threads`: for building a scene. `known`: blobs that are here already.
+    Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads,
+            const BlobStore& known = {});
     ~Session();
 
     /// Serves until the connection ends; throws what Connection::receive throws.
     asio::awaitable<void> run();
+    const BlobStore& blobs() const { return receiver_.blobs(); }
     /// Asks the server for no more work and to end the session after what it has.
     void leave() { connection_->send({Leave{}, {}}); }
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <random>
+#include <utility>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -41,20 +42,20 @@ asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& co
 
 }  // namespace
 
-std::chrono::milliseconds retry_delay(unsigned failures, double u) {
-    const auto longest =
-        std::min<std::chrono::milliseconds>(100ms * (1 << std::min(failures, 6u)), 5s);
-    return std::chrono::milliseconds(std::int64_t(double(longest.count()) * (1 - u / 2)));
-}
-
 asio::awaitable<void> Worker::serve() {
     const auto connection = co_await connect(config_.server, config_.credentials.tls);
     co_await shake_hands(*connection, config_);
     failures_ = 0;
-    const auto session = std::make_shared<Session>(connection, pools_, config_.threads);
+    const auto session =
+        std::make_shared<Session>(connection, pools_, config_.threads, std::exchange(blobs_, {}));
     session_ = session;
     if (leaving_) session->leave();
-    co_await session->run();
+    try {
+        co_await session->run();
+    } catch (...) {
+        blobs_ = session->blobs();
+        throw;
+    }
 }
 
 bool Worker::leave() {

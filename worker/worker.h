@@ -19,10 +19,6 @@ struct WorkerConfig {
     std::optional<unsigned> attempts;
 };
 
-/// Time to wait after `failures` attempts in a row have failed: doubles from 0.1 s up to 5 s, and
-/// `u` in [0, 1) takes up to half of it away, so that workers do not all come back at once.
-std::chrono::milliseconds retry_delay(unsigned failures, double u);
-
 class Worker {
 public:
     explicit Worker(const WorkerConfig& config) : config_(config), pools_(config.threads) {}
@@ -41,6 +37,8 @@ private:
     WorkerConfig config_;
     WorkerPools pools_;
     bool leaving_ = false;
+    BlobStore
+        blobs_;  ///< of the session before, so that a server that comes back need not send them
     std::weak_ptr<Session> session_;
     unsigned failures_ = 0;  ///< attempts to connect that have failed in a row
 };
