@@ -73,7 +73,8 @@ public:
     /// Of the scene watched last.
     const SceneVersion& scene() const;
     /// Changes an open scene. What could not be done is in the result's complaints.
-    EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations);
+    EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations,
+                    const BlobStore& blobs = {});
     /// Meshes and textures of an open scene.
     BlobStore fetch_blobs(const std::string& scene, const std::vector<BlobId>& blobs);
 
@@ -87,7 +88,10 @@ public:
     void show(const View& view);
     /// The newest picture of any view, unless it has been taken.
     std::optional<ShownPicture> take_picture();
-    void send_edit(const std::string& scene, std::vector<EditOperation> operations);
+    /// `blobs`: those that the operations name. Throws UserError when they are more than one edit
+    /// can carry.
+    void send_edit(const std::string& scene, std::vector<EditOperation> operations,
+                   const BlobStore& blobs = {});
     void ask_status();
     std::optional<Status> take_status();
     /// Complaints of edits, and why views cannot be rendered.

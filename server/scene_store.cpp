@@ -21,6 +21,20 @@ void set_version(StoredScene& stored, SceneVersion version, const BlobStore& blo
     stored.bytes = blobs.bytes();
 }
 
+/// Whether the shape is one for the mesh of its object. An object that is not there is complained
+/// of elsewhere.
+bool fits(const SetShape& edit, const Scene& scene, const BlobStore& blobs) {
+    const auto object = std::ranges::find(scene.objects, edit.object, &Object::name);
+    if (object == scene.objects.end()) return true;
+    const auto mesh = blobs.find(scene.meshes[object->mesh]), shape = blobs.find(edit.shape);
+    if (!mesh || !shape) return false;
+    try {
+        return decode_shape(*shape).positions.size() == vertex_count(*mesh);
+    } catch (const std::runtime_error&) {
+        return false;
+    }
+}
+
 }  // namespace
 
 ScenePtr SceneStore::open(const std::string& name, Scene scene, const BlobStore& blobs) {
@@ -51,15 +65,27 @@ ScenePtr SceneStore::publish(const ScenePtr& before, const ReadyScene& uploaded)
 }
 
 std::vector<std::string> SceneStore::edit(const ScenePtr& scene,
-                                          const std::vector<EditOperation>& operations) {
+                                          const std::vector<EditOperation>& operations,
+                                          const BlobStore& brought) {
     const SceneVersion& now = *scene->now.scene;
-    EditedScene edited = apply_edits(now.scene, operations);
-    if (edited.scene == now.scene) return edited.complaints;
-    set_version(*scene, {.version = now.version + 1, .scene = std::move(edited.scene)},
-                scene->now.blobs);
+    BlobStore blobs = scene->now.blobs;
+    blobs.merge(brought);
+    std::vector<std::string> complaints;
+    std::vector<EditOperation> possible = operations;
+    std::erase_if(possible, [&](const EditOperation& operation) {
+        const auto* edit = std::get_if<SetShape>(&operation);
+        if (!edit || fits(*edit, now.scene, blobs)) return false;
+        complaints.push_back(fmt::format("'{}': that is no shape for it", edit->object));
+        return true;
+    });
+    EditedScene edited = apply_edits(now.scene, possible);
+    std::ranges::move(edited.complaints, std::back_inserter(complaints));
+    if (edited.scene == now.scene) return complaints;
+    blobs.keep_only(blobs_of(edited.scene));
+    set_version(*scene, {.version = now.version + 1, .scene = std::move(edited.scene)}, blobs);
     const auto watchers = scene->watchers;  // they may come and go as they hear of it
     for (const auto& [who, tell] : watchers) tell();
-    return edited.complaints;
+    return complaints;
 }
 
 bool SceneStore::is_taken(const std::string& name) const {

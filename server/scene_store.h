@@ -35,9 +35,11 @@ public:
     ScenePtr publish(const ScenePtr& before, const ReadyScene& uploaded);
 
     /// Makes the next version of an open scene if there is anything to change, and tells its
-    /// watchers. Returns the complaints.
+    /// watchers. What the operations name is in the scene or among the blobs `brought` along.
+    /// Returns the complaints.
     std::vector<std::string> edit(const ScenePtr& scene,
-                                  const std::vector<EditOperation>& operations);
+                                  const std::vector<EditOperation>& operations,
+                                  const BlobStore& brought = {});
 
     /// Null when there is no open scene of that name.
     ScenePtr find_open(const std::string& name) const;

@@ -39,6 +39,17 @@ std::string no_open_scene(const std::string& name, const SceneStore& store) {
                        fmt::join(store.open_names(), ", "));
 }
 
+/// The blobs that an edit brings along.
+BlobStore blobs_of(const SceneEdit& edit, std::span<const std::byte> payload) {
+    BlobStore blobs;
+    for (const std::uint64_t bytes : edit.blob_bytes) {
+        const auto blob = payload.first(bytes);
+        blobs.insert(Bytes(blob.begin(), blob.end()));
+        payload = payload.subspan(bytes);
+    }
+    return blobs;
+}
+
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
@@ -86,7 +97,7 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store)
     } else if (const auto* watched = message.get<SceneWatch>()) {
         watch(*watched, store);
     } else if (const auto* edited = message.get<SceneEdit>()) {
-        edit(*edited, farm, store);
+        edit(*edited, blobs_of(*edited, message.payload.bytes), farm, store);
     } else if (const auto* wanted = message.get<BlobRequest>()) {
         send_blobs_of(*wanted, store);
     } else if (const auto* view = message.get<View>()) {
@@ -149,13 +160,14 @@ void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
     news_.cancel();
 }
 
-void ViewerSession::edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store) {
+void ViewerSession::edit(const SceneEdit& edit, const BlobStore& brought, RenderFarm& farm,
+                         SceneStore& store) {
     const ScenePtr scene = store.find_open(edit.scene);
     EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
     if (!may_edit_) {
         result.complaints = {"this viewer's keys are to look, not to edit; use an editor's keys"};
     } else if (scene) {
-        result.complaints = store.edit(scene, edit.operations);
+        result.complaints = store.edit(scene, edit.operations, brought);
         result.version = scene->now.scene->version;
         farm.scene_changed(edit.scene);
     } else {

@@ -30,7 +30,7 @@ private:
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
     void share(const SceneShare& share, RenderFarm& farm, SceneStore& store);
     void watch(const SceneWatch& watch, SceneStore& store);
-    void edit(const SceneEdit& edit, RenderFarm& farm, SceneStore& store);
+    void edit(const SceneEdit& edit, const BlobStore& brought, RenderFarm& farm, SceneStore& store);
     void send_blobs_of(const BlobRequest& request, SceneStore& store);
     void show(const View& view, RenderFarm& farm, SceneStore& store);
     void end_view(std::uint64_t request);
