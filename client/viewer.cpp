@@ -254,7 +254,7 @@ void Viewer::play() {
     if (seconds_ == shown_seconds_ || (!seen && now - moved_at_ < motion_patience)) return;
     const MotionEdits edits = edits_at(scene(), config_.motion, seconds_);
     client_.send_edit(config_.scene, edits.operations, edits.blobs);
-    moved_after_ = scene().version;
+    moved_after_ = client_.scene().version;
     moved_at_ = now;
     shown_seconds_ = seconds_;
 }

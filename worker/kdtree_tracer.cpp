@@ -69,7 +69,8 @@ public:
 
     std::size_t memory_bytes() const override {
         std::size_t bytes = heap_bytes(scene_.top.nodes) + heap_bytes(scene_.items) +
-                            heap_bytes(scene_.instances) + heap_bytes(scene_.objects);
+                            heap_bytes(scene_.instances) + heap_bytes(scene_.objects) +
+                            heap_bytes(objects_) + heap_bytes(instances_) + heap_bytes(baked_);
         if (scene_.names) bytes += scene_.names->memory_bytes();
         for (const auto& object : scene_.objects) bytes += object->memory_bytes();
         for (const auto& late : scene_.late)
@@ -111,9 +112,9 @@ private:
                a.triangles.size() == b.triangles.size() && a.deforms == b.deforms;
     }
 
-    /// Of `objects_`, those that the scene knows: all, or none besides what is baked.
+    /// How many of `objects_` the scene knows one by one: all, unless everything is baked.
     std::size_t shared_objects() const {
-        return baked_.empty() ? scene_.objects.size() : scene_.objects.size() - 1;
+        return scene_.single && !baked_.empty() ? 0 : objects_.size();
     }
     bool is_built(std::size_t i) const { return !scene_.objects[i]->blocks.empty(); }
 
