@@ -21,7 +21,7 @@ constexpr std::size_t plotted = 120;
 constexpr std::chrono::milliseconds draw_interval{30};
 constexpr std::chrono::milliseconds status_interval{1000};
 constexpr std::chrono::seconds notice_time{4};
-/// Motion waits no longer for its last picture: there may be none, where nothing has changed.
+/// Motion waits no longer for a version of the scene: there is none, where nothing has changed.
 constexpr std::chrono::milliseconds motion_patience{1000};
 
 /// Where the ray meets the plane through `p`.
@@ -250,8 +250,10 @@ void Viewer::play() {
     const double passed = std::chrono::duration<double>(now - std::exchange(played_, now)).count();
     if (duration_ <= 0) return;
     if (playing_) seconds_ = std::fmod(seconds_ + passed, duration_);
+    if (seconds_ == shown_seconds_) return;
     const bool seen = picture_ && picture_->about.version > moved_after_;
-    if (seconds_ == shown_seconds_ || (!seen && now - moved_at_ < motion_patience)) return;
+    const bool coming = client_.scene().version > moved_after_ || now - moved_at_ < motion_patience;
+    if (!seen && coming) return;
     const MotionEdits edits = edits_at(scene(), config_.motion, seconds_);
     client_.send_edit(config_.scene, edits.operations, edits.blobs);
     moved_after_ = client_.scene().version;

@@ -62,7 +62,7 @@ vec3 random_direction(std::uint32_t index) {
 SoftMesh flight(std::uint32_t count) {
     SoftMesh mesh;
     mesh.targets.resize(2);
-    const float size = std::min(0.8f, 3.2f / std::sqrt(float(count)));
+    const float size = std::min(0.8f, 6 / std::sqrt(float(count)));
     for (std::uint32_t i = 0; i < count; ++i) {
         const std::uint32_t seed = 64 * i;
         const vec3 centre = random_between(seed, 0.5f, 1.4f) * random_direction(seed + 1);
@@ -84,7 +84,8 @@ SoftMesh flight(std::uint32_t count) {
 void add_flight(SceneBundle& bundle, std::uint32_t count) {
     Motion& motion = bundle.motion;
     motion.soft_meshes.push_back(flight(count));
-    Mesh mesh{.positions = motion.soft_meshes[0].rest.positions};
+    Mesh mesh;
+    mesh.positions = motion.soft_meshes[0].rest.positions;
     for (std::uint32_t i = 0; i < count; ++i)
         mesh.triangles.push_back(uvec3(3 * i, 3 * i + 1, 3 * i + 2));
     const auto mirror = add_material(
