@@ -129,9 +129,4 @@ void Checkpoint::save_now(RenderClient& client) {
         client.poll(std::chrono::milliseconds(100));
 }
 
-void Checkpoint::remove() {
-    std::error_code ignored;
-    std::filesystem::remove(file_, ignored);
-}
-
 }  // namespace tessera

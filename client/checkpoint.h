@@ -31,8 +31,6 @@ public:
     void tick(RenderClient& client);
     /// Saves what there is by now, if the server is there.
     void save_now(RenderClient& client);
-    /// The picture is done.
-    void remove();
 
 private:
     bool save_arrived(RenderClient& client);

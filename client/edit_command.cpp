@@ -4,13 +4,16 @@
 #include <fmt/ranges.h>
 
 #include <chrono>
+#include <filesystem>
 #include <nlohmann/json.hpp>
 
 #include "client/commands.h"
 #include "client/edit_json.h"
 #include "client/interrupt.h"
 #include "client/render_client.h"
+#include "common/animate.h"
 #include "common/check.h"
+#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -46,8 +49,8 @@ public:
 
     const Scene& scene() const { return client_.scene().scene; }
 
-    void apply(const std::vector<EditOperation>& operations) {
-        const EditResult result = client_.edit(scene_, operations);
+    void apply(const std::vector<EditOperation>& operations, const BlobStore& blobs = {}) {
+        const EditResult result = client_.edit(scene_, operations, blobs);
         if (!result.complaints.empty())
             throw UserError(fmt::format("{}", fmt::join(result.complaints, "; ")));
     }
@@ -125,8 +128,30 @@ void create(Editor& editor, const EditOptions& options) {
         {{"create", options.name}, {"object", options.object}, {"to", at}}, editor.scene())});
 }
 
+/// The motion of a scene file, once, in its own time: as many steps as the server takes.
+void play_motion(Editor& editor, const Motion& motion) {
+    constexpr std::chrono::milliseconds step{40};
+    const auto start = Clock::now();
+    for (auto now = start;; now = std::max(Clock::now(), now + step)) {
+        editor.wait_until(now);
+        const double seconds = std::chrono::duration<double>(now - start).count();
+        const MotionEdits edits = edits_at(editor.scene(), motion, seconds);
+        editor.apply(edits.operations, edits.blobs);
+        if (seconds >= motion.duration()) return;
+    }
+}
+
 void play(Editor& editor, const EditOptions& options) {
-    const std::vector<TimedEdit> edits = load_timed_edits(options.file, editor.scene());
+    const std::string& file = options.file;
+    const bool is_scene = file.ends_with(".glb") || file.ends_with(".gltf") ||
+                          (!file.ends_with(".json") && !std::filesystem::exists(file));
+    if (is_scene) {
+        const LoadedScene loaded = load_scene(file);
+        if (loaded.bundle.motion.empty())
+            throw UserError(fmt::format("{}: nothing in it moves by itself", file));
+        return play_motion(editor, loaded.bundle.motion);
+    }
+    const std::vector<TimedEdit> edits = load_timed_edits(file, editor.scene());
     const auto start = Clock::now();
     for (const TimedEdit& edit : edits) {
         editor.wait_until(start + std::chrono::duration_cast<Clock::duration>(
@@ -186,8 +211,11 @@ void add_edit_command(CLI::App& app) {
     CLI::App* creating = add_name(add("create", "a new instance of an object", create));
     creating->add_option("OBJECT", options->object)->required();
     add_vector(creating, "where: x,y,z in metres");
-    add("play", "the timed edits of a JSON file", play)
-        ->add_option("FILE", options->file, "[{\"time\": seconds, \"edits\": [...]}, ...]")
+    add("play", "the timed edits of a JSON file, or what moves in a scene", play)
+        ->add_option(
+            "FILE", options->file,
+            "[{\"time\": seconds, \"edits\": [...]}, ...] in a .json file; or the scene that "
+            "the server holds, for its motion")
         ->required();
 }
 

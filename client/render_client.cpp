@@ -387,10 +387,11 @@ void RenderClient::watch(const std::string& scene) {
 const SceneVersion& RenderClient::scene() const { return state_->scene; }
 
 EditResult RenderClient::edit(const std::string& scene,
-                              const std::vector<EditOperation>& operations) {
+                              const std::vector<EditOperation>& operations,
+                              const BlobStore& blobs) {
     state_->persist([&] {
         state_->edited.reset();
-        send_edit(scene, operations);
+        send_edit(scene, operations, blobs);
         state_->wait_until(
             [&] { return state_->edited && state_->edited->request == state_->last_request; });
     });
@@ -443,9 +444,22 @@ std::optional<ShownPicture> RenderClient::take_picture() {
     return std::exchange(state_->picture, {});
 }
 
-void RenderClient::send_edit(const std::string& scene, std::vector<EditOperation> operations) {
+void RenderClient::send_edit(const std::string& scene, std::vector<EditOperation> operations,
+                             const BlobStore& blobs) {
     if (!state_->connected) state_->complaints.push_back("not connected: the change is lost");
-    state_->connection->send({SceneEdit{++state_->last_request, scene, std::move(operations)}, {}});
+    SceneEdit edit{++state_->last_request, scene, std::move(operations)};
+    const auto payload = std::make_shared<Bytes>();
+    for (const EditOperation& operation : edit.operations) {
+        const auto* shaped = std::get_if<SetShape>(&operation);
+        const auto blob = shaped ? blobs.find(shaped->shape) : nullptr;
+        if (!blob) continue;
+        edit.blob_bytes.push_back(blob->size());
+        payload->insert(payload->end(), blob->begin(), blob->end());
+    }
+    if (payload->size() > max_payload_bytes)
+        throw UserError(fmt::format("meshes that deform take {} MB, an edit carries {} at most",
+                                    payload->size() >> 20, max_payload_bytes >> 20));
+    state_->connection->send({std::move(edit), {payload, *payload}});
 }
 
 void RenderClient::ask_status() { state_->connection->send({StatusRequest{}, {}}); }

@@ -99,7 +99,8 @@ public:
     /// Changes an open scene. What could not be done is in the result's complaints. If the server
     /// is lost before it answers, the same is asked again: the last value wins, but what was
     /// created or deleted already is complained about.
-    EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations);
+    EditResult edit(const std::string& scene, const std::vector<EditOperation>& operations,
+                    const BlobStore& blobs = {});
     /// Meshes and textures of an open scene.
     BlobStore fetch_blobs(const std::string& scene, const std::vector<BlobId>& blobs);
 
@@ -113,7 +114,10 @@ public:
     void show(const View& view);
     /// The newest picture of any view, unless it has been taken.
     std::optional<ShownPicture> take_picture();
-    void send_edit(const std::string& scene, std::vector<EditOperation> operations);
+    /// `blobs`: those that the operations name. Throws UserError when they are more than one edit
+    /// can carry.
+    void send_edit(const std::string& scene, std::vector<EditOperation> operations,
+                   const BlobStore& blobs = {});
     void ask_status();
     std::optional<Status> take_status();
     /// Complaints of edits, and why views cannot be rendered.

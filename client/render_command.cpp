@@ -14,6 +14,8 @@
 #include "client/local_cluster.h"
 #include "client/progress_bar.h"
 #include "client/render_client.h"
+#include "client/sequence.h"
+#include "common/animate.h"
 #include "common/check.h"
 #include "common/image_io.h"
 #include "common/message_codec.h"
@@ -46,6 +48,7 @@ struct RenderOptions {
     std::string checkpoint;
     int checkpoint_seconds = 60;
     std::string stats;
+    std::string animate;
 };
 
 const std::map<std::string, Channel> aov_names = {
@@ -94,15 +97,18 @@ std::string aov_file(const std::string& output, const std::string& name) {
     return std::filesystem::path(output).replace_extension("." + name + ".exr").string();
 }
 
+/// The picture last: where it is, the others are.
 void write_pictures(const RenderOptions& options, const FrameRequest& request,
-                    const RenderedFrame& frame) {
-    if (request.format == PictureFormat::srgb8)
-        write_srgb8(frame.srgb8, options.camera.size, options.output);
-    else
-        write_image(frame.channels.at(Channel::radiance), options.output);
+                    const RenderedFrame& frame, const std::string& output) {
     for (const auto& [name, channel] : aov_names)
         if (request.spec.extra.has(channel))
-            write_image(frame.channels.at(channel), aov_file(options.output, name));
+            write_image(frame.channels.at(channel), aov_file(output, name));
+    write_atomically(output, [&](const std::string& file) {
+        if (request.format == PictureFormat::srgb8)
+            write_srgb8(frame.srgb8, options.camera.size, file);
+        else
+            write_image(frame.channels.at(Channel::radiance), file);
+    });
 }
 
 void write_statistics(const std::string& file, double load_seconds, const FrameStatistics& s) {
@@ -185,15 +191,82 @@ RenderedFrame render(const RenderOptions& options, RenderClient& client, const S
     }
 }
 
+/// The same, saved to the checkpoint now and then, and when the user interrupts.
+RenderedFrame render_and_save(const RenderOptions& options, RenderClient& client,
+                              const SceneBundle& bundle, const FrameRequest& request,
+                              ProgressView& view, ProgressBar& bar) {
+    Checkpoint checkpoint(options.checkpoint, checkpoint_key(bundle.scene, request),
+                          std::chrono::seconds(options.checkpoint_seconds));
+    bool rendering = false;
+    try {
+        RenderedFrame frame =
+            render(options, client, bundle, request, &checkpoint, bar, [&](const FrameProgress& p) {
+                rendering = true;
+                view.report(p);
+                checkpoint.tick(client);
+            });
+        checkpoint.remove();
+        return frame;
+    } catch (const Interrupted&) {
+        if (rendering) {
+            checkpoint.save_now(client);
+            bar.note(fmt::format("saved to {}: the same command goes on from there",
+                                 options.checkpoint));
+        }
+        throw;
+    }
+}
+
+/// Renders the picture to `output`.
+FrameStatistics render_picture(const RenderOptions& options, const SceneBundle& bundle,
+                               const std::string& output, RenderClient& client, ProgressView& view,
+                               ProgressBar& bar) {
+    const Camera camera =
+        chosen_camera(options.camera, bundle, [&](const std::string& note) { bar.note(note); });
+    const FrameRequest request =
+        request_of(options, std::filesystem::path(options.scene).filename().string(), camera);
+    const RenderedFrame frame = options.checkpoint.empty()
+                                    ? render(options, client, bundle, request, nullptr, bar,
+                                             [&](const FrameProgress& p) { view.report(p); })
+                                    : render_and_save(options, client, bundle, request, view, bar);
+    write_pictures(options, request, frame, output);
+    return frame.statistics;
+}
+
+/// One picture after another; those that are there already are left alone.
+void render_sequence(const RenderOptions& options, const SceneBundle& bundle, RenderClient& client,
+                     ProgressView& view, ProgressBar& bar) {
+    const Sequence sequence = parse_sequence(options.animate);
+    if (bundle.motion.empty())
+        throw UserError(
+            fmt::format("{}: nothing in it moves by itself; leave --animate away", options.scene));
+    std::uint32_t skipped = 0;
+    double seconds = 0;
+    for (std::uint32_t i = 0; i < sequence.count(); ++i) {
+        const std::string output = numbered_file(options.output, i);
+        if (is_whole_picture(output, options.camera.size)) {
+            ++skipped;
+            continue;
+        }
+        seconds += render_picture(options, bundle_at(bundle, sequence.seconds(i)), output, client,
+                                  view, bar)
+                       .render_seconds;
+    }
+    bar.note(fmt::format("{}: {} pictures in {:.2f} s of rendering, {} were there already",
+                         options.output, sequence.count() - skipped, seconds, skipped));
+}
+
 void run(const RenderOptions& options) {
     Interrupt interrupt;
     ProgressBar bar;
     check_writable_format(options.output);
+    if (!options.animate.empty()) {
+        parse_sequence(options.animate);
+        numbered_file(options.output, 0);
+    }
     const auto load_start = Clock::now();
     const LoadedScene loaded = load(options, bar);
     const std::chrono::duration<double> load_time = Clock::now() - load_start;
-    const Camera camera = chosen_camera(options.camera, loaded.bundle,
-                                        [&](const std::string& note) { bar.note(note); });
 
     ProgressView view(bar);
     std::optional<LocalCluster> cluster;
@@ -208,34 +281,10 @@ void run(const RenderOptions& options) {
                  if (cluster) cluster->check_alive();
              },
          .reconnects = !cluster});
-    const FrameRequest request =
-        request_of(options, std::filesystem::path(options.scene).filename().string(), camera);
-    std::optional<Checkpoint> checkpoint;
-    if (!options.checkpoint.empty())
-        checkpoint.emplace(options.checkpoint, checkpoint_key(loaded.bundle.scene, request),
-                           std::chrono::seconds(options.checkpoint_seconds));
-    bool rendering = false;
-    const RenderedFrame frame = [&] {
-        try {
-            return render(options, client, loaded.bundle, request,
-                          checkpoint ? &*checkpoint : nullptr, bar, [&](const FrameProgress& p) {
-                              rendering = true;
-                              view.report(p);
-                              if (checkpoint) checkpoint->tick(client);
-                          });
-        } catch (const Interrupted&) {
-            if (!checkpoint || !rendering) throw;
-            checkpoint->save_now(client);
-            bar.note(fmt::format("saved to {}: the same command goes on from there",
-                                 options.checkpoint));
-            throw;
-        }
-    }();
-    write_pictures(options, request, frame);
-    if (checkpoint) checkpoint->remove();
-    if (!options.stats.empty())
-        write_statistics(options.stats, load_time.count(), frame.statistics);
-    const FrameStatistics& s = frame.statistics;
+    if (!options.animate.empty()) return render_sequence(options, loaded.bundle, client, view, bar);
+    const FrameStatistics s =
+        render_picture(options, loaded.bundle, options.output, client, view, bar);
+    if (!options.stats.empty()) write_statistics(options.stats, load_time.count(), s);
     if (s.sanitised > 0)
         bar.note(fmt::format("{} values were not finite and were set to zero", s.sanitised));
     bar.note(fmt::format(
@@ -299,11 +348,16 @@ void add_output_options(CLI::App* command, RenderOptions& o) {
                      "irradiance, direct, indirect")
         ->delimiter(',')
         ->transform(CLI::CheckedTransformer(aov_names));
-    command->add_option("--stats", o.stats, "statistics to write as JSON");
+    auto* animate =
+        command->add_option("--animate", o.animate,
+                            "FROM:TO:FPS in seconds: pictures of what moves in the scene, numbered "
+                            "by the %d in -o (picture_%04d.png); those that are there are kept");
+    command->add_option("--stats", o.stats, "statistics to write as JSON")->excludes(animate);
     auto* checkpoint = command->add_option("--checkpoint", o.checkpoint,
                                            "file to save to what is rendered so far, now and then "
                                            "and on Ctrl-C: the same command goes "
                                            "on from it, to the same picture");
+    checkpoint->excludes(animate);
     command
         ->add_option("--checkpoint-every", o.checkpoint_seconds,
                      "seconds from one save to the next")

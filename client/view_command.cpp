@@ -102,18 +102,19 @@ void remember(const ViewerMemory& memory, const std::filesystem::path& file) {
 // ---- Scene and camera ---------------------------------------------------------------------------
 
 /// The name of an open scene: the one asked for, else the server's first. A file that the server
-/// does not hold is uploaded and opened to all.
-std::string open_scene(const ViewOptions& options, RenderClient& client) {
+/// does not hold is uploaded and opened to all, and its motion is known then.
+std::string open_scene(const ViewOptions& options, RenderClient& client, Motion& motion) {
     const std::vector<std::string>& open = client.welcome().scenes;
     const std::string name = std::filesystem::path(options.scene).filename().string();
     if (name.empty() && open.empty())
         throw UserError("the server holds no scene: name one, a file or a generated scene");
     if (name.empty()) return open.front();
     if (std::find(open.begin(), open.end(), name) != open.end()) return name;
-    const LoadedScene loaded = load_scene(options.scene);
+    LoadedScene loaded = load_scene(options.scene);
     for (const std::string& note : loaded.notes) fmt::print(stderr, "tessera: {}\n", note);
     client.upload_scene(name, loaded.bundle);
     client.share_scene(name);
+    motion = std::move(loaded.bundle.motion);
     return name;
 }
 
@@ -147,7 +148,8 @@ void run(const ViewOptions& options) {
                  if (cluster) cluster->check_alive();
              },
          .reconnects = !cluster});
-    const std::string scene = open_scene(options, client);
+    Motion motion;
+    const std::string scene = open_scene(options, client, motion);
     client.watch(scene);
     memory.window.title = fmt::format("{} - Tessera", scene);
     if (scripted) memory.window.size = options.camera.size;
@@ -156,7 +158,8 @@ void run(const ViewOptions& options) {
                    .settings = {.passes = options.passes},
                    .format = cluster ? PictureFormat::srgb8 : PictureFormat::automatic,
                    .pictures = options.pictures,
-                   .screenshot = options.screenshot},
+                   .screenshot = options.screenshot,
+                   .motion = std::move(motion)},
                   client, memory);
     viewer.run();
     remember(memory, file);

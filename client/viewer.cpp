@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "client/camera_control.h"
+#include "common/animate.h"
 #include "common/check.h"
 #include "common/image_io.h"
 
@@ -20,6 +21,8 @@ constexpr std::size_t plotted = 120;
 constexpr std::chrono::milliseconds draw_interval{30};
 constexpr std::chrono::milliseconds status_interval{1000};
 constexpr std::chrono::seconds notice_time{4};
+/// Motion waits no longer for a version of the scene: there is none, where nothing has changed.
+constexpr std::chrono::milliseconds motion_patience{1000};
 
 /// Where the ray meets the plane through `p`.
 std::optional<vec3> on_plane(const Ray& ray, const vec3& p, const vec3& normal) {
@@ -40,13 +43,16 @@ Viewer::Viewer(const ViewerConfig& config, RenderClient& client, ViewerMemory& m
       memory_(memory),
       window_(memory.window),
       camera_(config.camera),
-      flown_(Clock::now()) {}
+      flown_(Clock::now()),
+      duration_(config.motion.duration()),
+      played_(Clock::now()) {}
 
 void Viewer::run() {
     auto drawn = Clock::now() - draw_interval;
     while (running_) {
         bool changed = window_.poll_events([this](const SDL_Event& event) { handle(event); });
         fly();
+        play();
         ask_for_pictures();
         client_.poll(std::chrono::milliseconds(changed ? 0 : 4));
         const int before = pictures_;
@@ -164,6 +170,9 @@ void Viewer::handle_key(SDL_Keycode key) {
         case SDLK_F12:
             save_picture();
             break;
+        case SDLK_SPACE:
+            playing_ = !playing_;
+            break;
         case SDLK_HOME:
             change_camera(config_.camera);
             break;
@@ -233,6 +242,23 @@ void Viewer::fly() {
     const float speed =
         length(camera_.at - camera_.eye) / 3 * (SDL_GetModState() & KMOD_SHIFT ? 3 : 1);
     change_camera(flown(camera_, seconds * speed * by));
+}
+
+/// Puts what moves where it is by now, once the last of it has been seen: no picture is skipped.
+void Viewer::play() {
+    const auto now = Clock::now();
+    const double passed = std::chrono::duration<double>(now - std::exchange(played_, now)).count();
+    if (duration_ <= 0) return;
+    if (playing_) seconds_ = std::fmod(seconds_ + passed, duration_);
+    if (seconds_ == shown_seconds_) return;
+    const bool seen = picture_ && picture_->about.version > moved_after_;
+    const bool coming = client_.scene().version > moved_after_ || now - moved_at_ < motion_patience;
+    if (!seen && coming) return;
+    const MotionEdits edits = edits_at(scene(), config_.motion, seconds_);
+    client_.send_edit(config_.scene, edits.operations, edits.blobs);
+    moved_after_ = client_.scene().version;
+    moved_at_ = now;
+    shown_seconds_ = seconds_;
 }
 
 void Viewer::change_camera(const Camera& camera) { camera_ = camera; }

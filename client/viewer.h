@@ -34,6 +34,7 @@ struct ViewerConfig {
     PictureFormat format = PictureFormat::automatic;
     int pictures = 0;        ///< end after so many; 0: when the user says so
     std::string screenshot;  ///< file for the whole window at the end; empty: none
+    Motion motion;           ///< of the scene, to be played
 };
 
 class Viewer {
@@ -59,6 +60,7 @@ private:
     void handle_button(const SDL_MouseButtonEvent& button);
     void handle_motion(const SDL_MouseMotionEvent& motion);
     void fly();
+    void play();
     void select_at(const vec2& point);
     void drag_selection(const vec2& point);
     void ask_for_pictures();
@@ -78,6 +80,7 @@ private:
     void draw_controls();
     void draw_panel();
     void draw_statistics();
+    void draw_motion();
     void draw_display();
     void draw_cameras();
     void draw_selection();
@@ -117,6 +120,13 @@ private:
     Picked grip_;           ///< where the selection is held
     vec3 grip_offset_{0};   ///< from there to its origin
     Clock::time_point flown_;
+
+    bool playing_ = true;
+    double duration_ = 0;  ///< of the motion, seconds; 0: nothing moves
+    double seconds_ = 0;   ///< where the motion is
+    double shown_seconds_ = -1;
+    std::uint64_t moved_after_ = 0;  ///< the scene's version when the last of it was sent
+    Clock::time_point moved_at_, played_;
 };
 
 }  // namespace tessera

@@ -113,6 +113,7 @@ void Viewer::draw_panel() {
     ImGui::SameLine();
     quiet("version {}", client_.scene().version);
     draw_statistics();
+    draw_motion();
     draw_display();
     draw_selection();
     draw_lights();
@@ -136,6 +137,18 @@ void Viewer::draw_statistics() {
     plot("first pass", first_.values, fmt::format("{:.0f} ms", first_.newest()));
     plot("latency", latency_.values, fmt::format("{:.0f} ms", latency_.newest()));
     plot("error", error_.values, fmt::format("{:.4f}", error_.newest()));
+}
+
+void Viewer::draw_motion() {
+    if (duration_ <= 0 || !section("Motion")) return;
+    if (ImGui::Button(playing_ ? "pause" : "play", {label_width - 24, 0})) playing_ = !playing_;
+    ImGui::SameLine(label_width);
+    ImGui::SetNextItemWidth(-1);
+    auto seconds = float(seconds_);
+    if (ImGui::SliderFloat("##seconds", &seconds, 0, float(duration_), "%.2f s")) {
+        seconds_ = double(seconds);
+        playing_ = false;
+    }
 }
 
 void Viewer::draw_display() {
@@ -283,6 +296,7 @@ void Viewer::draw_help() {
         {"click", "select an object"},
         {"drag what is selected", "move it in its ground plane"},
         {"Delete", "remove it"},
+        {"Space", "play or pause what moves"},
         {"Home", "back to where it began"},
         {"P or F12", "save the picture"},
         {"Tab", "hide or show the panel"},

@@ -3,11 +3,13 @@
 // Sizes are in metres as one would measure them; the window wall is x = 0, the shelves stand at
 // z = 0.
 
+#include <algorithm>
 #include <array>
 #include <glm/gtc/matrix_transform.hpp>
 
 #include "common/generators.h"
 #include "common/mesh_builder.h"
+#include "common/motion_builder.h"
 #include "common/random_number.h"
 #include "common/scene_builder.h"
 #include "common/tone_map.h"
@@ -466,6 +468,7 @@ public:
         fill_bookcase();
         put_plant({4.7f, 0, 0.85f});
         add_camera();
+        add_motion();
         return std::move(bundle_);
     }
 
@@ -502,6 +505,9 @@ private:
     void fill_shelf(float left, float y, std::uint32_t seed);
     void put_plant(const vec3& at);
     void add_camera();
+    void add_motion();
+    void turn_around(const char* name, const vec3& pivot, std::int32_t rotations,
+                     std::int32_t translations);
 
     SceneBundle bundle_;
     const std::uint32_t white_ = paint("white", {0.80f, 0.79f, 0.76f});
@@ -581,7 +587,7 @@ void Office::furnish_desks() {
         put("keyboard", keys, {-0.12f, top, 0.16f}, 0);
         put("mouse", mouse_object, {0.18f, top, 0.17f}, -12);
         put("cup", w.cup, {0.42f, top, 0.12f}, 40);
-        put("lamp", w.lamp, {0.62f, top, -0.26f}, -35);
+        put(w.lamp == lamp_on ? "lit lamp" : "lamp", w.lamp, {0.62f, top, -0.26f}, -35);
     }
     MeshBuilder ball;
     ball.ball({0, 0.07f, 0}, 0.07f, 32);
@@ -649,7 +655,8 @@ void Office::fill_bookcase() {
     for (std::uint32_t i = 0; i < 3; ++i) {
         mat4 lying = placed({2.68f, 0.74f + 0.035f * float(i + 1), 0.35f}, 60 + 25 * float(i));
         lying = glm::rotate(lying, -pi / 2, vec3(0, 0, 1));
-        place("book", book_objects_[i + 1], glm::scale(lying, vec3(0.035f, 0.24f, 0.17f)));
+        place(i == 2 ? "top book" : "book", book_objects_[i + 1],
+              glm::scale(lying, vec3(0.035f, 0.24f, 0.17f)));
     }
 }
 
@@ -673,6 +680,40 @@ void Office::put_plant(const vec3& at) {
 void Office::add_camera() {
     bundle_.scene.cameras.push_back(
         {.name = "door", .eye = {5.55f, 1.55f, 4.55f}, .at = {2.2f, 0.92f, 1.3f}, .fov_y = 48});
+}
+
+/// Lets the thing of that name turn around `pivot`, which moves by the translations.
+void Office::turn_around(const char* name, const vec3& pivot, std::int32_t rotations,
+                         std::int32_t translations) {
+    Motion& motion = bundle_.motion;
+    MotionNode turning{.weights = {}};
+    turning.rotation_track = rotations;
+    turning.translation_track = translations;
+    MotionNode back{.parent = std::int32_t(add_node(motion, std::move(turning))), .weights = {}};
+    back.translation = -pivot;
+    const std::uint32_t node = add_node(motion, std::move(back));
+    const auto& instances = bundle_.scene.instances;
+    const auto instance = std::ranges::find(instances, name, &Instance::name);
+    carry(bundle_, std::uint32_t(instance - instances.begin()), node);
+}
+
+/// As in the thesis, the desk lamp and a book move: the lamp to and fro, the book up and around.
+void Office::add_motion() {
+    const Beat beat{.period = 6, .times = 1, .keys = 48};
+    const vec3 lamp(3.97f, 0.74f, 0.19f), book(2.68f, 0.845f, 0.35f), up(0, 1, 0);
+    const auto rise = [](float part) { return 0.5f - 0.5f * std::cos(2 * pi * part); };
+    turn_around("lit lamp", lamp,
+                add_rotations(bundle_.motion, beat,
+                              [&](float part) { return glm::angleAxis(0.9f * rise(part), up); }),
+                add_translations(bundle_.motion, beat, [&](float part) {
+                    return lamp + rise(part) * vec3(-0.18f, 0, 0.12f);
+                }));
+    turn_around("top book", book,
+                add_rotations(bundle_.motion, beat,
+                              [&](float part) { return glm::angleAxis(2 * pi * part, up); }),
+                add_translations(bundle_.motion, beat, [&](float part) {
+                    return book + rise(part) * vec3(0, 0.45f, 0.1f);
+                }));
 }
 
 }  // namespace

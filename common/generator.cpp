@@ -1,6 +1,10 @@
 #include "common/generator.h"
 
+#include <algorithm>
+
+#include "common/check.h"
 #include "common/generators.h"
+#include "common/text_reader.h"
 
 namespace tessera {
 namespace {
@@ -10,6 +14,9 @@ struct Generator {
     const char* description;
     SceneBundle (*generate)();
 };
+
+constexpr std::uint32_t museum_triangles = 4096;
+constexpr std::int64_t most_museum_triangles = 1 << 20;
 
 constexpr Generator generators[] = {
     {"cornell", "the Cornell box as measured: two blocks, one area light, 32 triangles",
@@ -25,6 +32,12 @@ constexpr Generator generators[] = {
      generate_building},
     {"sunflowers", "a field of 28,000 instances of ten sunflowers: a billion triangles",
      generate_sunflowers},
+    {"robots",
+     "sixteen robots that walk through a town: 161 instances, a hundred thousand triangles",
+     generate_robots},
+    {"museum",
+     "a hall where 4096 mirroring triangles fly about, each its own way; museum:N: N of them",
+     [] { return generate_museum(museum_triangles); }},
 };
 
 }  // namespace
@@ -36,6 +49,15 @@ std::vector<GeneratedScene> generated_scenes() {
 }
 
 std::optional<SceneBundle> generate_scene(const std::string& name) {
+    constexpr std::string_view museum = "museum:";
+    if (name.starts_with(museum)) {
+        std::int64_t triangles = 0;
+        if (!parse_number(name.substr(museum.size()), triangles) || triangles < 1 ||
+            triangles > most_museum_triangles)
+            throw UserError(name +
+                            ": after `museum:` a number of triangles is wanted, 1 to 1048576");
+        return generate_museum(std::uint32_t(triangles));
+    }
     for (const Generator& g : generators)
         if (g.name == name) return g.generate();
     return std::nullopt;

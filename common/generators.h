@@ -8,7 +8,10 @@ namespace tessera {
 SceneBundle generate_building();
 SceneBundle generate_cornell();
 SceneBundle generate_foliage();
+/// `triangles`: that fly.
+SceneBundle generate_museum(std::uint32_t triangles);
 SceneBundle generate_office();
+SceneBundle generate_robots();
 SceneBundle generate_rooms();
 SceneBundle generate_sunflowers();
 

@@ -176,6 +176,32 @@ template std::vector<vec2> AccessorReader::vectors(int) const;
 template std::vector<vec3> AccessorReader::vectors(int) const;
 template std::vector<vec4> AccessorReader::vectors(int) const;
 
+std::vector<glm::dmat4> AccessorReader::mat4s(int index) const {
+    const tinygltf::Accessor& accessor = accessor_at(model_, index, file_);
+    const auto convert = [](const StridedView& view, std::uint64_t i) {
+        glm::dmat4 m;
+        for (int c = 0; c < 16; ++c) m[c / 4][c % 4] = view.component(i, c);
+        return m;
+    };
+    return read<glm::dmat4>(model_, accessor, origin_of(file_, index), 16, convert);
+}
+
+std::vector<float> AccessorReader::floats(int index) const {
+    const tinygltf::Accessor& accessor = accessor_at(model_, index, file_);
+    const int components = tinygltf::GetNumComponentsInType(std::uint32_t(accessor.type));
+    if (components < 1 || components > 4)
+        broken(origin_of(file_, index), "numbers or vectors are wanted");
+    const auto convert = [&](const StridedView& view, std::uint64_t i) {
+        vec4 v(0);
+        for (int c = 0; c < components; ++c) v[c] = float(view.component(i, c));
+        return v;
+    };
+    std::vector<float> out;
+    for (const vec4& v : read<vec4>(model_, accessor, origin_of(file_, index), components, convert))
+        for (int c = 0; c < components; ++c) out.push_back(v[c]);
+    return out;
+}
+
 std::vector<std::uint32_t> AccessorReader::indices(int index) const {
     const tinygltf::Accessor& accessor = accessor_at(model_, index, file_);
     if (!is_unsigned(accessor.componentType))

@@ -25,6 +25,9 @@ public:
     std::vector<vec2> vec2s(int index) const { return vectors<vec2>(index); }
     std::vector<vec3> vec3s(int index) const { return vectors<vec3>(index); }
     std::vector<vec4> vec4s(int index) const { return vectors<vec4>(index); }
+    std::vector<glm::dmat4> mat4s(int index) const;
+    /// The components of all values, one after another, whatever their type.
+    std::vector<float> floats(int index) const;
     /// Vertex indices: unsigned integers, one component.
     std::vector<std::uint32_t> indices(int index) const;
 

@@ -5,6 +5,10 @@
 // distance of `at` is the node's extra `target_distance` (which save_glb writes) or 1. glTF has no
 // sides for emission: `doubleSided` surfaces emit from both. What we do not model is noted once
 // each.
+//
+// Animations become one Motion: all play at once, and of two that change the same thing the first
+// wins. A node whose mesh has morph targets or a skin is an object of its own, with the mesh's
+// vertices as the file has them: what has no area now may have some later.
 
 #include <fmt/format.h>
 #include <tiny_gltf.h>
@@ -17,6 +21,7 @@
 #include <optional>
 #include <set>
 
+#include "common/animate.h"
 #include "common/check.h"
 #include "common/clean_mesh.h"
 #include "common/gltf_accessor.h"
@@ -140,9 +145,14 @@ public:
         check_required_extensions();
         for (const tinygltf::Material& material : model_.materials)
             add_material(loaded_.bundle, convert(material));
-        for (const tinygltf::Mesh& mesh : model_.meshes) read_mesh(mesh);
+        find_soft_meshes();
+        for (std::size_t i = 0; i < model_.meshes.size(); ++i)
+            is_soft_[i] ? read_soft_mesh(model_.meshes[i]) : read_mesh(model_.meshes[i]);
+        read_animations();
         read_nodes();
-        if (!model_.animations.empty()) unmodelled("animation");
+        read_skins();
+        shape_objects();
+        name_what_moves();
         for (std::string& note : describe(cleaning_)) loaded_.notes.push_back(std::move(note));
         if (const std::size_t unused = drop_unused_materials(loaded_.bundle.scene))
             loaded_.notes.push_back(fmt::format("dropped {} unused materials", unused));
@@ -348,7 +358,6 @@ private:
             return {};
         }
         if (primitive.attributes.contains("COLOR_0")) unmodelled("vertex colours");
-        if (!primitive.targets.empty()) unmodelled("morph targets");
         Mesh mesh;
         mesh.positions = accessors_.vec3s(position->second);
         const auto normal = primitive.attributes.find("NORMAL");
@@ -414,6 +423,259 @@ private:
         return *default_material_;
     }
 
+    // What deforms --------------------------------------------------------------------------------
+
+    /// A mesh whose vertices can move, and its look.
+    struct Soft {
+        Mesh mesh;
+        SoftMesh motion;
+        std::vector<std::uint32_t> materials;
+    };
+
+    void find_soft_meshes() {
+        is_soft_.resize(model_.meshes.size());
+        for (std::size_t i = 0; i < model_.meshes.size(); ++i)
+            for (const tinygltf::Primitive& primitive : model_.meshes[i].primitives)
+                if (!primitive.targets.empty()) is_soft_[i] = true;
+        for (const tinygltf::Node& node : model_.nodes)
+            if (node.skin >= 0 && node.mesh >= 0 && std::size_t(node.mesh) < is_soft_.size())
+                is_soft_[std::size_t(node.mesh)] = true;
+    }
+
+    void read_soft_mesh(const tinygltf::Mesh& mesh) {
+        Soft soft;
+        std::vector<Mesh> parts;
+        bool smooth = true;
+        for (const tinygltf::Primitive& primitive : mesh.primitives) {
+            Mesh part = read_primitive(primitive);
+            if (part.triangles.empty()) continue;
+            if (soft.materials.size() > std::numeric_limits<std::uint16_t>::max())
+                broken("a mesh has more than 65536 primitives");
+            part.slots.assign(part.triangles.size(), std::uint16_t(soft.materials.size()));
+            smooth = smooth && !part.normals.empty();
+            soft.materials.push_back(material_of(primitive));
+            read_targets(primitive, soft.motion, soft_vertices(parts), part.positions.size());
+            read_joints(primitive, soft.motion, soft_vertices(parts), part.positions.size());
+            parts.push_back(std::move(part));
+        }
+        for (Mesh& part : parts) {
+            if (!smooth) part.normals.clear();
+            append(soft.mesh, std::move(part));
+        }
+        if (soft.materials.size() == 1) soft.mesh.slots.clear();
+        soft.motion.rest = {soft.mesh.positions, soft.mesh.normals};
+        soft_of_mesh_[objects_.size()] = std::move(soft);
+        objects_.push_back(std::nullopt);
+    }
+
+    static std::size_t soft_vertices(const std::vector<Mesh>& parts) {
+        std::size_t count = 0;
+        for (const Mesh& part : parts) count += part.positions.size();
+        return count;
+    }
+
+    /// Appends what the primitive's targets add to each of its vertices, behind `first` others.
+    void read_targets(const tinygltf::Primitive& primitive, SoftMesh& mesh, std::size_t first,
+                      std::size_t count) {
+        if (mesh.targets.size() < primitive.targets.size())
+            mesh.targets.resize(primitive.targets.size());
+        for (std::size_t k = 0; k < mesh.targets.size(); ++k) {
+            const auto read = [&](const char* attribute, std::vector<vec3>& values) {
+                std::vector<vec3> added;
+                if (k < primitive.targets.size())
+                    if (const auto found = primitive.targets[k].find(attribute);
+                        found != primitive.targets[k].end())
+                        added = accessors_.vec3s(found->second);
+                if (!added.empty() && added.size() != count)
+                    broken("a morph target and its primitive differ in length");
+                values.resize(first);
+                values.insert(values.end(), added.begin(), added.end());
+                values.resize(first + count);
+            };
+            read("POSITION", mesh.targets[k].positions);
+            read("NORMAL", mesh.targets[k].normals);
+        }
+    }
+
+    void read_joints(const tinygltf::Primitive& primitive, SoftMesh& mesh, std::size_t first,
+                     std::size_t count) {
+        const auto joints = primitive.attributes.find("JOINTS_0");
+        const auto weights = primitive.attributes.find("WEIGHTS_0");
+        mesh.joints.resize(first + count);
+        mesh.joint_weights.resize(first + count);
+        if (joints == primitive.attributes.end() || weights == primitive.attributes.end()) return;
+        if (primitive.attributes.contains("JOINTS_1"))
+            unmodelled("more than four joints at a vertex");
+        const std::vector<vec4> which = accessors_.vec4s(joints->second);
+        const std::vector<vec4> much = accessors_.vec4s(weights->second);
+        if (which.size() != count || much.size() != count)
+            broken("a primitive's attributes differ in length");
+        for (std::size_t i = 0; i < count; ++i) {
+            const float sum = much[i].x + much[i].y + much[i].z + much[i].w;
+            mesh.joint_weights[first + i] = sum > 0 ? much[i] / sum : vec4(0);
+            for (int k = 0; k < 4; ++k) {
+                if (!(which[i][k] >= 0 && which[i][k] < 65536)) broken("a joint is out of range");
+                mesh.joints[first + i][std::size_t(k)] = std::uint16_t(which[i][k]);
+            }
+        }
+    }
+
+    /// An object of this node alone; its shape comes when all joints are known.
+    std::uint32_t add_soft_object(const tinygltf::Node& node, const Soft& soft) {
+        Motion& motion = loaded_.bundle.motion;
+        const std::string& mesh_name = model_.meshes[std::size_t(node.mesh)].name;
+        const std::uint32_t object = add_object(
+            loaded_.bundle, node.name.empty() ? mesh_name : node.name, soft.mesh, soft.materials);
+        const auto [mesh, added] =
+            soft_index_.try_emplace(node.mesh, std::uint32_t(motion.soft_meshes.size()));
+        if (added) motion.soft_meshes.push_back(soft.motion);
+        deformed_.push_back(
+            {object,
+             {.object = {}, .mesh = mesh->second, .node = motion_node_, .skin = node.skin}});
+        return object;
+    }
+
+    void read_skins() {
+        Motion& motion = loaded_.bundle.motion;
+        for (const tinygltf::Skin& skin : model_.skins) {
+            Skin& out = motion.skins.emplace_back();
+            if (skin.inverseBindMatrices >= 0)
+                out.joint_from_mesh = accessors_.mat4s(skin.inverseBindMatrices);
+            else
+                out.joint_from_mesh.resize(skin.joints.size(), glm::dmat4(1));
+            if (out.joint_from_mesh.size() < skin.joints.size())
+                broken("a skin has fewer matrices than joints");
+            for (const int joint : skin.joints) {
+                at(model_.nodes, joint, "node");
+                const auto found = motion_nodes_.find(joint);
+                if (found == motion_nodes_.end()) broken("a joint of a skin is not in the scene");
+                out.joints.push_back(found->second);
+            }
+        }
+        for (auto& [object, deformed] : deformed_) {
+            if (deformed.skin < 0) continue;
+            const Skin& skin = at(motion.skins, deformed.skin, "skin");
+            for (const auto& joints : motion.soft_meshes[deformed.mesh].joints)
+                for (const std::uint16_t joint : joints)
+                    if (joint >= skin.joints.size()) broken("a vertex has a joint beyond its skin");
+        }
+    }
+
+    /// Puts vertices where they are at rest: for good, if nothing moves them.
+    void shape_objects() {
+        SceneBundle& bundle = loaded_.bundle;
+        Motion rest = bundle.motion;
+        for (MotionNode& node : rest.nodes)
+            node.translation_track = node.rotation_track = node.scale_track = node.weights_track =
+                MotionNode::none;
+        const std::vector<glm::dmat4> world_from_node = node_transforms(rest, 0);
+        for (const auto& [index, deformed] : deformed_) {
+            const Shape shape = deformed_shape(rest, deformed, 0, world_from_node);
+            Object& object = bundle.scene.objects[index];
+            if (deforms(deformed)) {
+                object.shape = std::int32_t(add_shape(bundle, shape));
+            } else {
+                const Mesh& mesh = soft_of_mesh_.at(mesh_of_soft(deformed.mesh)).mesh;
+                object.mesh = add_mesh(bundle, reshaped(mesh, shape));
+            }
+        }
+    }
+
+    bool deforms(const Motion::Deformed& deformed) const {
+        const Motion& motion = loaded_.bundle.motion;
+        return !motion.empty() &&
+               (deformed.skin >= 0 || motion.nodes[deformed.node].weights_track >= 0);
+    }
+
+    std::size_t mesh_of_soft(std::uint32_t soft) const {
+        const auto found = std::ranges::find(soft_index_, soft, [](auto& e) { return e.second; });
+        return std::size_t(found->first);
+    }
+
+    // Animations ----------------------------------------------------------------------------------
+
+    /// Tracks of a node, as MotionNode has them.
+    struct NodeTracks {
+        std::int32_t translation = MotionNode::none, rotation = MotionNode::none,
+                     scale = MotionNode::none, weights = MotionNode::none;
+    };
+
+    void read_animations() {
+        for (const tinygltf::Animation& animation : model_.animations)
+            for (const tinygltf::AnimationChannel& channel : animation.channels)
+                read_channel(at(animation.samplers, channel.sampler, "sampler"), channel);
+    }
+
+    void read_channel(const tinygltf::AnimationSampler& sampler,
+                      const tinygltf::AnimationChannel& channel) {
+        if (channel.target_node < 0) return unmodelled("animation of what is no node");
+        NodeTracks& tracks = tracks_[channel.target_node];
+        const std::map<std::string, std::int32_t NodeTracks::*> places{
+            {"translation", &NodeTracks::translation},
+            {"rotation", &NodeTracks::rotation},
+            {"scale", &NodeTracks::scale},
+            {"weights", &NodeTracks::weights}};
+        const auto place = places.find(channel.target_path);
+        if (place == places.end())
+            return unmodelled(fmt::format("animation of `{}`", channel.target_path));
+        std::int32_t& track = tracks.*place->second;
+        if (track != MotionNode::none)
+            return unmodelled("a second animation of what one animates already");
+        track = std::int32_t(loaded_.bundle.motion.tracks.size());
+        const std::uint32_t components = channel.target_path == "rotation"  ? 4
+                                         : channel.target_path == "weights" ? 0
+                                                                            : 3;
+        loaded_.bundle.motion.tracks.push_back(read_track(sampler, components));
+    }
+
+    /// `components` 0: as many as there are.
+    Track read_track(const tinygltf::AnimationSampler& sampler, std::uint32_t components) const {
+        Track track{.components = components,
+                    .times = accessors_.floats(sampler.input),
+                    .values = accessors_.floats(sampler.output)};
+        if (sampler.interpolation == "STEP") track.interpolation = Interpolation::step;
+        if (sampler.interpolation == "CUBICSPLINE")
+            track.interpolation = Interpolation::cubic_spline;
+        const std::size_t values =
+            track.times.size() * (track.interpolation == Interpolation::cubic_spline ? 3 : 1);
+        if (components == 0 && values > 0)
+            track.components = std::uint32_t(track.values.size() / values);
+        const auto is_finite = [](float v) { return std::isfinite(v); };
+        const auto not_later = [](float a, float b) { return !(a < b); };
+        if (track.times.empty() || track.components == 0 ||
+            track.values.size() != values * track.components ||
+            !std::ranges::all_of(track.values, is_finite) ||
+            !std::ranges::all_of(track.times, is_finite) ||
+            std::ranges::adjacent_find(track.times, not_later) != track.times.end())
+            broken(fmt::format("the keys of an animation (accessors {} and {}) are malformed",
+                               sampler.input, sampler.output));
+        return track;
+    }
+
+    /// What moves is named once all names are unique; a scene that stands still needs no motion.
+    void name_what_moves() {
+        Scene& scene = loaded_.bundle.scene;
+        Motion& motion = loaded_.bundle.motion;
+        if (motion.empty()) {
+            motion = {};
+            return;
+        }
+        make_names_unique(scene);
+        const auto name = [](std::vector<Motion::Carried>& carried, const auto& table,
+                             const std::vector<std::size_t>& indices) {
+            for (std::size_t i = 0; i < carried.size(); ++i)
+                carried[i].name = table[indices[i]].name;
+        };
+        name(motion.instances, scene.instances, carried_instances_);
+        name(motion.lights, scene.lights, carried_lights_);
+        name(motion.cameras, scene.cameras, carried_cameras_);
+        for (auto& [index, deformed] : deformed_) {
+            if (!deforms(deformed)) continue;
+            deformed.object = scene.objects[index].name;
+            motion.objects.push_back(deformed);
+        }
+    }
+
     // Nodes ---------------------------------------------------------------------------------------
 
     std::vector<int> roots() const {
@@ -433,13 +695,16 @@ private:
         struct Visit {
             int node;
             glm::dmat4 world_from_parent;
+            std::int32_t parent;
+            bool moves;
         };
         std::vector<Visit> open;
-        const auto push = [&](const std::vector<int>& nodes, const glm::dmat4& world_from_parent) {
+        const auto push = [&](const std::vector<int>& nodes, const glm::dmat4& world_from_parent,
+                              std::int32_t parent, bool moves) {
             for (auto it = nodes.rbegin(); it != nodes.rend(); ++it)
-                open.push_back({*it, world_from_parent});
+                open.push_back({*it, world_from_parent, parent, moves});
         };
-        push(roots(), glm::dmat4(1));
+        push(roots(), glm::dmat4(1), MotionNode::none, false);
         std::vector<bool> visited(model_.nodes.size());
         while (!open.empty()) {
             const Visit visit = open.back();
@@ -449,9 +714,41 @@ private:
                 broken(fmt::format("node {} has two parents", visit.node));
             visited[std::size_t(visit.node)] = true;
             const glm::dmat4 world_from_node = visit.world_from_parent * local_transform(node);
+            add_motion_node(visit.node, visit.parent);
+            const MotionNode& added = loaded_.bundle.motion.nodes.back();
+            node_moves_ = visit.moves || added.translation_track >= 0 ||
+                          added.rotation_track >= 0 || added.scale_track >= 0;
             read_node(node, world_from_node);
-            push(node.children, world_from_node);
+            push(node.children, world_from_node, std::int32_t(motion_node_), node_moves_);
         }
+    }
+
+    void add_motion_node(int index, std::int32_t parent) {
+        const tinygltf::Node& node = model_.nodes[std::size_t(index)];
+        std::vector<MotionNode>& nodes = loaded_.bundle.motion.nodes;
+        motion_node_ = std::uint32_t(nodes.size());
+        motion_nodes_[index] = motion_node_;
+        const NodeTracks tracks = tracks_.contains(index) ? tracks_.at(index) : NodeTracks{};
+        MotionNode out{.parent = parent, .weights = {}};
+        out.is_fixed = tracks.translation < 0 && tracks.rotation < 0 && tracks.scale < 0;
+        out.fixed = local_transform(node);
+        const auto vector = [](const std::vector<double>& v, const vec3& fallback) {
+            return v.size() == 3 ? vec3(v[0], v[1], v[2]) : fallback;
+        };
+        out.translation = vector(node.translation, vec3(0));
+        out.scale = vector(node.scale, vec3(1));
+        if (const auto& r = node.rotation; r.size() == 4)
+            out.rotation = glm::quat(glm::dquat(r[3], r[0], r[1], r[2]));
+        out.translation_track = tracks.translation;
+        out.rotation_track = tracks.rotation;
+        out.scale_track = tracks.scale;
+        out.weights_track = tracks.weights;
+        const bool has_mesh = node.mesh >= 0 && std::size_t(node.mesh) < model_.meshes.size();
+        const std::vector<double>& weights = !node.weights.empty() || !has_mesh
+                                                 ? node.weights
+                                                 : model_.meshes[std::size_t(node.mesh)].weights;
+        out.weights.assign(weights.begin(), weights.end());
+        nodes.push_back(std::move(out));
     }
 
     static glm::dmat4 local_transform(const tinygltf::Node& node) {
@@ -470,10 +767,13 @@ private:
     }
 
     void read_node(const tinygltf::Node& node, const glm::dmat4& world_from_node) {
-        if (node.skin >= 0) unmodelled("skins");
         if (node.mesh >= 0) {
-            const std::optional<std::uint32_t> object = at(objects_, node.mesh, "mesh");
-            if (object) place(node, *object, world_from_node);
+            std::optional<std::uint32_t> object = at(objects_, node.mesh, "mesh");
+            const auto soft = soft_of_mesh_.find(std::size_t(node.mesh));
+            if (soft != soft_of_mesh_.end() && !soft->second.mesh.triangles.empty())
+                object = add_soft_object(node, soft->second);
+            // Skins put vertices into the world themselves.
+            if (object) place(node, *object, node.skin >= 0 ? glm::dmat4(1) : world_from_node);
         }
         if (node.camera >= 0) read_camera(node, world_from_node);
         if (const Value* light = extension(node.extensions, "KHR_lights_punctual"))
@@ -487,11 +787,22 @@ private:
         const Value* instancing = extension(node.extensions, "EXT_mesh_gpu_instancing");
         const Value* attributes = instancing ? member(*instancing, "attributes") : nullptr;
         if (attributes == nullptr) {
-            add_instance(loaded_.bundle, name, object, mat4(world_from_node));
+            add_carried_instance(node, name, object, world_from_node, glm::dmat4(1));
             return;
         }
         for (const glm::dmat4& node_from_instance : instance_transforms(*attributes))
+            add_carried_instance(node, name, object, world_from_node, node_from_instance);
+    }
+
+    void add_carried_instance(const tinygltf::Node& node, const std::string& name,
+                              std::uint32_t object, const glm::dmat4& world_from_node,
+                              const glm::dmat4& node_from_instance) {
+        const std::uint32_t instance =
             add_instance(loaded_.bundle, name, object, mat4(world_from_node * node_from_instance));
+        if (!node_moves_ || node.skin >= 0) return;
+        loaded_.bundle.scene.instances[instance].moves = true;
+        carried_instances_.push_back(instance);
+        loaded_.bundle.motion.instances.push_back({{}, motion_node_, node_from_instance});
     }
 
     std::vector<glm::dmat4> instance_transforms(const Value& attributes) const {
@@ -534,6 +845,9 @@ private:
              .at = vec3(eye + normalize(forward) * distance),
              .up = vec3(normalize(glm::dvec3(world_from_node[1]))),
              .fov_y = float(glm::degrees(camera.perspective.yfov))});
+        if (!node_moves_) return;
+        carried_cameras_.push_back(loaded_.bundle.scene.cameras.size() - 1);
+        loaded_.bundle.motion.cameras.push_back({{}, motion_node_});
     }
 
     void read_light(const tinygltf::Node& node, int index, const glm::dmat4& world_from_node) {
@@ -551,6 +865,9 @@ private:
              .intensity = colour(light.color, vec3(1)) * float(light.intensity),
              .inner_angle = float(light.spot.innerConeAngle),
              .outer_angle = float(light.spot.outerConeAngle)});
+        if (!node_moves_) return;
+        carried_lights_.push_back(loaded_.bundle.scene.lights.size() - 1);
+        loaded_.bundle.motion.lights.push_back({{}, motion_node_});
     }
 
     const tinygltf::Model& model_;
@@ -559,7 +876,16 @@ private:
     LoadedScene loaded_;
     MeshCleaning cleaning_;
     std::set<std::string> unmodelled_;
-    std::vector<std::optional<std::uint32_t>> objects_;  // by glTF mesh; nothing: no triangles
+    std::vector<std::optional<std::uint32_t>> objects_;  // by glTF mesh; nothing: none of its own
+    std::vector<bool> is_soft_;                          // by glTF mesh
+    std::map<std::size_t, Soft> soft_of_mesh_;           // by glTF mesh
+    std::map<int, std::uint32_t> soft_index_;            // glTF mesh -> Motion::soft_meshes
+    std::vector<std::pair<std::uint32_t, Motion::Deformed>> deformed_;  // by object
+    std::map<int, NodeTracks> tracks_;                                  // by glTF node
+    std::map<int, std::uint32_t> motion_nodes_;                         // by glTF node
+    std::uint32_t motion_node_ = 0;                                     // being read
+    bool node_moves_ = false;
+    std::vector<std::size_t> carried_instances_, carried_lights_, carried_cameras_;
     std::optional<std::uint32_t> default_material_;
     std::map<std::pair<int, bool>, std::int32_t> textures_;
 };

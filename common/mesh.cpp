@@ -12,6 +12,7 @@ static_assert(std::endian::native == std::endian::little, "blobs are little-endi
 static_assert(sizeof(vec3) == 12 && sizeof(vec2) == 8 && sizeof(uvec3) == 12);
 
 constexpr std::uint32_t mesh_magic = 0x314d5354;     // "TSM1"
+constexpr std::uint32_t shape_magic = 0x31535354;    // "TSS1"
 constexpr std::uint32_t texture_magic = 0x31545354;  // "TST1"
 constexpr std::uint32_t float_magic = 0x46545354;    // "TSTF"
 
@@ -102,6 +103,41 @@ Mesh decode_mesh(std::span<const std::byte> bytes) {
     for (const uvec3& t : mesh.triangles)
         if (std::max({t.x, t.y, t.z}) >= mesh.positions.size())
             throw std::runtime_error("mesh index out of range");
+    return mesh;
+}
+
+Bytes encode(const Shape& shape) {
+    Writer out;
+    out.value(shape_magic);
+    out.array(shape.positions);
+    out.array(shape.normals);
+    return out.take();
+}
+
+Shape decode_shape(std::span<const std::byte> bytes) {
+    Reader in(bytes);
+    if (in.value<std::uint32_t>() != shape_magic) throw std::runtime_error("blob is not a shape");
+    Shape shape;
+    shape.positions = in.array<vec3>();
+    shape.normals = in.array<vec3>();
+    in.expect_end();
+    if (!shape.normals.empty() && shape.normals.size() != shape.positions.size())
+        throw std::runtime_error("shape arrays disagree in length");
+    return shape;
+}
+
+std::uint64_t vertex_count(std::span<const std::byte> mesh) {
+    constexpr std::size_t head = sizeof(std::uint32_t) + sizeof(std::uint64_t);
+    if (mesh.size() < head) return 0;
+    Reader in(mesh.first(head));
+    return in.value<std::uint32_t>() == mesh_magic ? in.value<std::uint64_t>() : 0;
+}
+
+Mesh reshaped(Mesh mesh, Shape shape) {
+    if (shape.positions.size() != mesh.positions.size())
+        throw std::runtime_error("shape and mesh differ in their number of vertices");
+    mesh.positions = std::move(shape.positions);
+    mesh.normals = std::move(shape.normals);
     return mesh;
 }
 

@@ -23,6 +23,15 @@ struct Mesh {
     bool operator==(const Mesh&) const = default;
 };
 
+/// Where the vertices of a mesh are now, object space: what of a deforming mesh changes. `normals`
+/// is empty, so that the surface looks flat, or one per vertex.
+struct Shape {
+    std::vector<vec3> positions;
+    std::vector<vec3> normals;
+
+    bool operator==(const Shape&) const = default;
+};
+
 enum class Wrap : std::uint8_t { repeat, mirror, clamp };
 
 /// A picture, rows from the top; texture coordinate (0,0) is its top left corner (glTF). Either
@@ -41,11 +50,20 @@ struct Texture {
 
 /// encode / decode: `decode_mesh(encode(m)) == m`. Little-endian, version byte first.
 Bytes encode(const Mesh& mesh);
+Bytes encode(const Shape& shape);
 Bytes encode(const Texture& texture);
 
 /// Throws std::runtime_error with the reason when the bytes are no valid mesh: sizes that disagree,
 /// vertex indices out of range. Never reads outside `bytes`, never allocates more than it holds.
 Mesh decode_mesh(std::span<const std::byte> bytes);
+Shape decode_shape(std::span<const std::byte> bytes);
 Texture decode_texture(std::span<const std::byte> bytes);
+
+/// How many vertices an encoded mesh has; 0 when it is none.
+std::uint64_t vertex_count(std::span<const std::byte> mesh);
+
+/// `mesh` with its vertices where `shape` has them. Throws std::runtime_error when it has not one
+/// place for each.
+Mesh reshaped(Mesh mesh, Shape shape);
 
 }  // namespace tessera

@@ -144,6 +144,16 @@ void unpack(const wire::SceneStatus& in, SceneStatus& v) {
     v.bytes = in.bytes();
 }
 
+void pack(const SetShape& v, wire::SetShape& out) {
+    out.set_object(v.object);
+    pack(v.shape, *out.mutable_shape());
+}
+void unpack(const wire::SetShape& in, SetShape& v) {
+    require_set(in.has_shape(), "shape");
+    v.object = in.object();
+    unpack(in.shape(), v.shape);
+}
+
 void pack(const EditOperation& v, wire::EditOperation& out);
 void unpack(const wire::EditOperation& in, EditOperation& v);
 
@@ -247,11 +257,14 @@ void pack(const Object& v, wire::Object& out) {
     out.set_name(v.name);
     out.set_mesh(v.mesh);
     out.mutable_materials()->Assign(v.materials.begin(), v.materials.end());
+    out.set_shape_plus_one(std::uint32_t(v.shape + 1));
 }
 void unpack(const wire::Object& in, Object& v) {
     v.name = in.name();
     v.mesh = in.mesh();
     v.materials.assign(in.materials().begin(), in.materials().end());
+    const std::uint32_t most = std::numeric_limits<std::int32_t>::max();
+    v.shape = std::int32_t(in_range(in.shape_plus_one(), 0u, most, "shape_plus_one")) - 1;
 }
 
 void pack(const mat4& v, google::protobuf::RepeatedField<float>& out) {
@@ -267,11 +280,13 @@ void pack(const Instance& v, wire::Instance& out) {
     out.set_name(v.name);
     out.set_object(v.object);
     pack(v.world_from_object, *out.mutable_world_from_object());
+    out.set_moves(v.moves);
 }
 void unpack(const wire::Instance& in, Instance& v) {
     v.name = in.name();
     v.object = in.object();
     unpack(in.world_from_object(), v.world_from_object);
+    v.moves = in.moves();
 }
 
 void pack(const Light& v, wire::Light& out) {
@@ -335,6 +350,7 @@ void pack(const SceneDelta& v, wire::SceneDelta& out) {
     out.set_next_version(v.next_version);
     pack_table(v.meshes, *out.mutable_meshes());
     pack_table(v.textures, *out.mutable_textures());
+    pack_table(v.shapes, *out.mutable_shapes());
     pack_table(v.objects, *out.mutable_objects());
     pack_table(v.instances, *out.mutable_instances());
     pack_table(v.materials, *out.mutable_materials());
@@ -349,6 +365,7 @@ void unpack(const wire::SceneDelta& in, SceneDelta& v) {
     v.next_version = in.next_version();
     unpack_table(in.meshes(), v.meshes);
     unpack_table(in.textures(), v.textures);
+    unpack_table(in.shapes(), v.shapes);
     unpack_table(in.objects(), v.objects);
     unpack_table(in.instances(), v.instances);
     unpack_table(in.materials(), v.materials);
@@ -498,6 +515,7 @@ void pack(const EditOperation& v, wire::EditOperation& out) {
         void operator()(const CreateLight& e) { pack(e, *out.mutable_create_light()); }
         void operator()(const DeleteLight& e) { pack(e, *out.mutable_delete_light()); }
         void operator()(const SetCamera& e) { pack(e, *out.mutable_set_camera()); }
+        void operator()(const SetShape& e) { pack(e, *out.mutable_set_shape()); }
     };
     std::visit(Packer{out}, v);
 }
@@ -520,6 +538,8 @@ void unpack(const wire::EditOperation& in, EditOperation& v) {
             return unpack(in.delete_light(), v.emplace<DeleteLight>());
         case Wire::kSetCamera:
             return unpack(in.set_camera(), v.emplace<SetCamera>());
+        case Wire::kSetShape:
+            return unpack(in.set_shape(), v.emplace<SetShape>());
         case Wire::OPERATION_NOT_SET:
             refuse("operation is not set");
     }
@@ -535,11 +555,13 @@ void pack(const SceneEdit& v, wire::SceneEdit& out) {
     out.set_request(v.request);
     out.set_scene(v.scene);
     pack_each(v.operations, *out.mutable_operations());
+    out.mutable_blob_bytes()->Assign(v.blob_bytes.begin(), v.blob_bytes.end());
 }
 void unpack(const wire::SceneEdit& in, SceneEdit& v) {
     v.request = in.request();
     v.scene = in.scene();
     unpack_each(in.operations(), v.operations);
+    v.blob_bytes.assign(in.blob_bytes().begin(), in.blob_bytes().end());
 }
 
 void pack(const EditResult& v, wire::EditResult& out) {
@@ -998,6 +1020,14 @@ void check_chunk(std::uint64_t offset, std::uint64_t size, std::uint64_t total) 
     if (size == 0 && total != 0) refuse("empty chunk");
 }
 
+void check_blobs(const SceneEdit& edit, std::uint64_t size) {
+    for (const std::uint64_t bytes : edit.blob_bytes) {
+        if (bytes > size) refuse("blobs of an edit that are larger than its payload");
+        size -= bytes;
+    }
+    if (size != 0) refuse("{} bytes more than the blobs of an edit take", size);
+}
+
 /// Attaches the payload to the message that it came with.
 void attach_payload(Payload payload, Message& message) {
     const std::size_t size = payload.bytes.size();
@@ -1009,6 +1039,8 @@ void attach_payload(Payload payload, Message& message) {
         check_chunk(picture->offset, size, picture->total);
     else if (const auto* sums = message.get<SumsChunk>())
         check_chunk(sums->offset, size, sums->total);
+    else if (const auto* edit = message.get<SceneEdit>())
+        check_blobs(*edit, size);
     else if (size != 0)
         refuse("payload of {} bytes where none belongs", size);
     if (size != 0) message.payload = std::move(payload);

@@ -32,7 +32,7 @@
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 2;
+inline constexpr std::uint32_t protocol_version = 3;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -123,6 +123,7 @@ struct SceneEdit {
     std::uint64_t request = 0;  ///< the viewer's own number, echoed in EditResult
     std::string scene;
     std::vector<EditOperation> operations;
+    std::vector<std::uint64_t> blob_bytes{};  ///< sizes of the blobs that are the payload
 
     bool operator==(const SceneEdit&) const = default;
 };

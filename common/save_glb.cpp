@@ -75,6 +75,7 @@ public:
         for (const Instance& instance : scene_.instances) add_instance(instance);
         for (const Light& light : scene_.lights) add_light(light);
         for (const Camera& camera : scene_.cameras) add_camera(camera);
+        add_motion();
         finish();
         return std::move(json_);
     }
@@ -247,6 +248,13 @@ private:
 
     void add_instance(const Instance& instance) {
         Json node{{"name", instance.name}, {"mesh", instance.object}};
+        const auto& moving = bundle_.motion.instances;
+        const auto carried = std::ranges::find(moving, instance.name, &Motion::Carried::name);
+        if (carried != moving.end()) {
+            node["matrix"] = to_json(mat4(carried->node_from_instance));
+            children_[carried->node].push_back(append("nodes", std::move(node)));
+            return;
+        }
         if (instance.world_from_object != mat4(1))
             node["matrix"] = to_json(instance.world_from_object);
         add_node(std::move(node));
@@ -283,6 +291,54 @@ private:
                   {"extras", {{"target_distance", length(forward)}}}});
     }
 
+    /// The nodes that move, with the instances that they carry, and how they move.
+    void add_motion() {
+        const Motion& motion = bundle_.motion;
+        if (motion.nodes.empty()) return;
+        const std::size_t first = json_["nodes"].size();
+        for (std::size_t i = 0; i < motion.nodes.size(); ++i) {
+            const MotionNode& node = motion.nodes[i];
+            append("nodes", placed(node));
+            if (node.parent == MotionNode::none)
+                nodes_.push_back(first + i);
+            else
+                children_[std::size_t(node.parent)].push_back(first + i);
+            add_channel(first + i, "translation", node.translation_track);
+            add_channel(first + i, "rotation", node.rotation_track);
+            add_channel(first + i, "scale", node.scale_track);
+        }
+        for (const auto& [node, children] : children_)
+            json_["nodes"][first + node]["children"] = children;
+    }
+
+    static Json placed(const MotionNode& node) {
+        if (node.is_fixed) return {{"matrix", to_json(mat4(node.fixed))}};
+        const glm::quat& r = node.rotation;
+        return {{"translation", to_json(node.translation)},
+                {"rotation", {r.x, r.y, r.z, r.w}},
+                {"scale", to_json(node.scale)}};
+    }
+
+    void add_channel(std::size_t node, const char* path, std::int32_t index) {
+        if (index == MotionNode::none) return;
+        constexpr std::array modes{"STEP", "LINEAR", "CUBICSPLINE"};
+        const Track& track = bundle_.motion.tracks[std::size_t(index)];
+        const std::size_t input =
+            add_accessor(track.times, "SCALAR", track.times.size(), gltf_float, 0);
+        json_["accessors"][input]["min"] = {track.times.front()};
+        json_["accessors"][input]["max"] = {track.times.back()};
+        const std::size_t output =
+            add_accessor(track.values, track.components == 4 ? "VEC4" : "VEC3",
+                         track.values.size() / track.components, gltf_float, 0);
+        Json& animation = json_["animations"][0];
+        animation["channels"].push_back({{"sampler", animation["samplers"].size()},
+                                         {"target", {{"node", node}, {"path", path}}}});
+        animation["samplers"].push_back(
+            {{"input", input},
+             {"output", output},
+             {"interpolation", modes[std::size_t(track.interpolation)]}});
+    }
+
     void use(const char* extension) {
         Json& used = json_["extensionsUsed"];
         if (std::find(used.begin(), used.end(), extension) == used.end()) used.push_back(extension);
@@ -298,6 +354,7 @@ private:
     Json json_;
     Bytes binary_;
     Json nodes_ = Json::array();
+    std::map<std::size_t, std::vector<std::size_t>> children_;  ///< of nodes that move
     std::vector<WrittenMesh> meshes_;
     std::map<std::int32_t, std::size_t> images_;
 };

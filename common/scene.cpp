@@ -58,9 +58,15 @@ std::uint32_t add_texture(SceneBundle& bundle, const Texture& texture) {
     return index_of(bundle.scene.textures, bundle.blobs.insert(encode(texture)));
 }
 
+std::uint32_t add_shape(SceneBundle& bundle, const Shape& shape) {
+    bundle.scene.shapes.push_back(bundle.blobs.insert(encode(shape)));
+    return std::uint32_t(bundle.scene.shapes.size() - 1);
+}
+
 std::vector<BlobId> blobs_of(const Scene& scene) {
     std::set<BlobId> ids(scene.meshes.begin(), scene.meshes.end());
     ids.insert(scene.textures.begin(), scene.textures.end());
+    ids.insert(scene.shapes.begin(), scene.shapes.end());
     return {ids.begin(), ids.end()};
 }
 
@@ -69,6 +75,8 @@ void validate(const Scene& scene) {
     for (std::size_t i = 0; i < scene.objects.size(); ++i) {
         const Object& object = scene.objects[i];
         require(object.mesh < scene.meshes.size(), "object", i, "mesh index out of range");
+        require(object.shape >= -1 && object.shape < std::int64_t(scene.shapes.size()), "object", i,
+                "shape index out of range");
         for (const std::uint32_t material : object.materials)
             require(material < scene.materials.size(), "object", i, "material index out of range");
     }

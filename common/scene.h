@@ -1,5 +1,6 @@
-// What a scene is: plain data with indices. Large data (meshes, textures) is named by blob id and
-// kept in a BlobStore beside the scene, so a Scene is small, cheap to copy, and compared by value.
+// What a scene is: plain data with indices. Large data (meshes, textures, shapes) is named by blob
+// id and kept in a BlobStore beside the scene, so a Scene is small, cheap to copy, and compared by
+// value.
 //
 // Two levels as in Wald's thesis (2004, chapter 9): objects hold geometry, instances place them.
 // Units: metres; radiance in W/(sr m^2) per RGB channel. glTF's candela and nit are taken 1:1 as
@@ -13,6 +14,7 @@
 #include "common/blob.h"
 #include "common/math.h"
 #include "common/mesh.h"
+#include "common/motion.h"
 
 namespace tessera {
 
@@ -56,11 +58,13 @@ struct Material {
     bool operator==(const Material&) const = default;
 };
 
-/// Geometry that moves as one: a mesh and the material of each of its slots.
+/// Geometry that moves as one: a mesh and the material of each of its slots. What deforms has its
+/// vertices in a shape of its own, so that only they travel when they move.
 struct Object {
     std::string name;
     std::uint32_t mesh = 0;                ///< index into Scene::meshes
     std::vector<std::uint32_t> materials;  ///< slot -> index into Scene::materials
+    std::int32_t shape = -1;  ///< index into Scene::shapes: where the vertices are; -1: the mesh's
 
     bool operator==(const Object&) const = default;
 };
@@ -69,6 +73,7 @@ struct Instance {
     std::string name;
     std::uint32_t object = 0;
     mat4 world_from_object{1};  ///< affine; may mirror, shear and scale
+    bool moves = false;         ///< often: cheap to move, and costs rays more
 
     bool operator==(const Instance&) const = default;
 };
@@ -111,6 +116,7 @@ struct Camera {
 struct Scene {
     std::vector<BlobId> meshes;
     std::vector<BlobId> textures;
+    std::vector<BlobId> shapes;
     std::vector<Object> objects;
     std::vector<Instance> instances;
     std::vector<Material> materials;
@@ -121,16 +127,20 @@ struct Scene {
     bool operator==(const Scene&) const = default;
 };
 
-/// A scene with the blobs it names: what a loader or generator makes.
+/// A scene with the blobs it names, and how it moves: what a loader or generator makes.
 struct SceneBundle {
     Scene scene;
     BlobStore blobs;
+    Motion motion{};  ///< names what it moves, whose names are unique then
 };
 
 /// Adds `mesh` to the bundle (a mesh already there is shared); returns its index in Scene::meshes.
 std::uint32_t add_mesh(SceneBundle& bundle, const Mesh& mesh);
 /// The same for a texture; returns its index in Scene::textures.
 std::uint32_t add_texture(SceneBundle& bundle, const Texture& texture);
+
+/// Adds `shape`; returns its index in Scene::shapes, which no other object shares.
+std::uint32_t add_shape(SceneBundle& bundle, const Shape& shape);
 
 /// Blobs the scene names, each once, in order.
 std::vector<BlobId> blobs_of(const Scene& scene);

@@ -27,6 +27,7 @@ struct SceneDelta {
     std::uint64_t next_version = 0;
     TableDelta<BlobId> meshes;
     TableDelta<BlobId> textures;
+    TableDelta<BlobId> shapes;
     TableDelta<Object> objects;
     TableDelta<Instance> instances;
     TableDelta<Material> materials;

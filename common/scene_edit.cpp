@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <stdexcept>
 #include <unordered_map>
 
@@ -103,7 +104,9 @@ void set(T& field, const std::optional<T>& value) {
 class Editor {
 public:
     explicit Editor(Scene& scene)
-        : objects_("object", scene.objects),
+        : shapes_(scene.shapes),
+          all_objects_(scene.objects),
+          objects_("object", scene.objects),
           instances_("instance", scene.instances),
           materials_("material", scene.materials),
           lights_("light", scene.lights),
@@ -111,14 +114,18 @@ public:
 
     void apply(const SetTransform& edit) {
         require_affine(edit.world_from_object);
-        instances_.at(edit.instance).world_from_object = edit.world_from_object;
+        Instance& instance = instances_.at(edit.instance);
+        if (instance.world_from_object == edit.world_from_object) return;
+        instance.world_from_object = edit.world_from_object;
+        instance.moves = true;
     }
 
     void apply(const CreateInstance& edit) {
         require_affine(edit.world_from_object);
         instances_.add({.name = edit.instance,
                         .object = objects_.index(edit.object),
-                        .world_from_object = edit.world_from_object});
+                        .world_from_object = edit.world_from_object,
+                        .moves = true});
     }
 
     void apply(const DeleteInstance& edit) { instances_.remove(edit.instance); }
@@ -164,7 +171,20 @@ public:
             cameras_.add(edit.camera);
     }
 
+    void apply(const SetShape& edit) {
+        Object& object = objects_.at(edit.object);
+        const auto uses = [&](const Object& other) { return other.shape == object.shape; };
+        if (object.shape >= 0 && std::ranges::count_if(all_objects_, uses) == 1) {
+            shapes_[std::size_t(object.shape)] = edit.shape;
+        } else {
+            object.shape = std::int32_t(shapes_.size());
+            shapes_.push_back(edit.shape);
+        }
+    }
+
 private:
+    std::vector<BlobId>& shapes_;
+    const std::vector<Object>& all_objects_;
     NamedTable<Object> objects_;
     NamedTable<Instance> instances_;
     NamedTable<Material> materials_;

@@ -71,8 +71,16 @@ struct SetCamera {
     bool operator==(const SetCamera&) const = default;
 };
 
+/// Puts an object's vertices elsewhere. The blob must be at hand and a shape for the object's mesh.
+struct SetShape {
+    std::string object;
+    BlobId shape;
+
+    bool operator==(const SetShape&) const = default;
+};
+
 using EditOperation = std::variant<SetTransform, CreateInstance, DeleteInstance, SetMaterial,
-                                   SetLight, CreateLight, DeleteLight, SetCamera>;
+                                   SetLight, CreateLight, DeleteLight, SetCamera, SetShape>;
 
 struct EditedScene {
     Scene scene;
@@ -80,7 +88,7 @@ struct EditedScene {
 };
 
 /// The scene after these operations. Its names must be unique, and stay so; the result is valid if
-/// `scene` is.
+/// `scene` is. Instances that are moved or new are marked as moving.
 EditedScene apply_edits(Scene scene, const std::vector<EditOperation>& operations);
 
 /// Puts the instance's origin at `to`, turned and scaled as it is.

@@ -27,8 +27,8 @@ LoadedScene load_ply(const std::filesystem::path& file);
 LoadedScene load_gltf(const std::filesystem::path& file);
 
 /// Writes a binary glTF with everything a Scene holds but its environment, for which glTF has no
-/// place. Throws UserError when the file cannot be
-/// written.
+/// place, and shapes: what deforms is as its mesh has it. Of its motion the instances that are
+/// carried are written. Throws UserError when the file cannot be written.
 void save_glb(const SceneBundle& bundle, const std::filesystem::path& file);
 
 /// Lights the scene from all sides: `file_or_radiance` is a number, the radiance, or a picture by

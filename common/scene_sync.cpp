@@ -8,6 +8,10 @@
 namespace tessera {
 namespace {
 
+/// Blobs are kept for versions to come until so many more have arrived: shapes, of which every
+/// version brings others, would fill the memory.
+constexpr std::uint64_t most_unused_bytes = 256u << 20;
+
 template <class... Args>
 [[noreturn]] void refuse(fmt::format_string<Args...> format, Args&&... args) {
     throw ProtocolError(fmt::format(format, std::forward<Args>(args)...));
@@ -85,6 +89,7 @@ void SceneReceiver::complete(const BlobId& id, Bytes bytes) {
     if (blobs_.insert(std::move(bytes)) != id)
         refuse("blob {} comes with other content than its name says", short_name(id));
     for (auto& [name, entry] : scenes_) entry.missing.erase(id);
+    if (held_bytes_ > held_when_dropped_ + most_unused_bytes) drop_unused_blobs();
 }
 
 void SceneReceiver::make_room(std::uint64_t bytes) {
@@ -105,7 +110,7 @@ void SceneReceiver::drop_unused_blobs() {
         wanted.insert(wanted.end(), ids.begin(), ids.end());
     }
     blobs_.keep_only(wanted);
-    held_bytes_ = blobs_.bytes();
+    held_bytes_ = held_when_dropped_ = blobs_.bytes();
 }
 
 std::optional<ReadyScene> SceneReceiver::take_ready() {

@@ -94,6 +94,8 @@ private:
     std::map<BlobId, Arrival> arrivals_;  ///< blobs asked for and not yet whole
     std::uint64_t announced_bytes_ = 0;   ///< of all arrivals, once whole
     std::uint64_t held_bytes_ = 0;        ///< of blobs_
+    std::uint64_t held_when_dropped_ =
+        0;  ///< of blobs_, when it was last cleared of what is unused
 };
 
 /// A blob cut into messages of chunk_bytes that share its memory; at least one.

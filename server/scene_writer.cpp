@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "common/check.h"
@@ -17,6 +19,33 @@ std::shared_ptr<const SceneVersion> numbered(std::uint64_t version, Scene scene)
 Scene with_unique_names(Scene scene) {
     make_names_unique(scene);
     return scene;
+}
+
+/// Whether the shape is one for the mesh of its object. An object that is not there is complained
+/// of elsewhere.
+bool fits(const SetShape& edit, const Scene& scene, const BlobStore& blobs) {
+    const auto object = std::ranges::find(scene.objects, edit.object, &Object::name);
+    if (object == scene.objects.end()) return true;
+    const auto mesh = blobs.find(scene.meshes[object->mesh]), shape = blobs.find(edit.shape);
+    if (!mesh || !shape) return false;
+    try {
+        return decode_shape(*shape).positions.size() == vertex_count(*mesh);
+    } catch (const std::runtime_error&) {
+        return false;
+    }
+}
+
+/// Takes out what cannot be done for want of a fitting shape.
+Complaints take_out_misfits(std::vector<EditOperation>& operations, const Scene& scene,
+                            const BlobStore& blobs) {
+    Complaints complaints;
+    std::erase_if(operations, [&](const EditOperation& operation) {
+        const auto* edit = std::get_if<SetShape>(&operation);
+        if (!edit || fits(*edit, scene, blobs)) return false;
+        complaints.push_back(fmt::format("'{}': that is no shape for it", edit->object));
+        return true;
+    });
+    return complaints;
 }
 
 }  // namespace
@@ -52,15 +81,16 @@ SceneWriter::SceneWriter(SceneStore& store, RenderFarm& farm, std::unique_ptr<Jo
 SceneWriter::~SceneWriter() { thread_.join(); }
 
 void SceneWriter::edit(const ScenePtr& scene, std::vector<EditOperation> operations,
-                       std::function<void(const Complaints&)> done) {
+                       const BlobStore& brought, std::function<void(const Complaints&)> done) {
     add({.scene = scene,
          .to_open = {},
          .operations = std::move(operations),
+         .brought = brought,
          .done = std::move(done)});
 }
 
 void SceneWriter::open(const ReadyScene& scene, std::function<void(const Complaints&)> done) {
-    add({.scene = {}, .to_open = scene, .operations = {}, .done = std::move(done)});
+    add({.scene = {}, .to_open = scene, .operations = {}, .brought = {}, .done = std::move(done)});
 }
 
 void SceneWriter::open_now(const std::string& name, const SceneBundle& bundle) {
@@ -112,17 +142,23 @@ Complaints SceneWriter::stage_edit(const Request& request, Batch& batch) const {
     const ReadyScene& now = request.scene->now;
     SceneChange* const staged = batch.find(now.name);
     const SceneVersion& newest = staged ? *staged->after : *now.scene;
-    EditedScene edited = apply_edits(newest.scene, request.operations);
-    if (edited.scene == newest.scene) return edited.complaints;
+    BlobStore blobs = staged ? staged->blobs : now.blobs;
+    blobs.merge(request.brought);
+    std::vector<EditOperation> possible = request.operations;
+    Complaints complaints = take_out_misfits(possible, newest.scene, blobs);
+    EditedScene edited = apply_edits(newest.scene, possible);
+    std::ranges::move(edited.complaints, std::back_inserter(complaints));
+    if (edited.scene == newest.scene) return complaints;
+    blobs.keep_only(blobs_of(edited.scene));
     auto after = numbered(newest.version + 1, std::move(edited.scene));
-    if (staged)
+    if (staged) {
         staged->after = std::move(after);
-    else
-        batch.change(request.scene, {.scene = now.name,
-                                     .before = now.scene,
-                                     .after = std::move(after),
-                                     .blobs = now.blobs});
-    return edited.complaints;
+        staged->blobs = std::move(blobs);
+    } else {
+        batch.change(request.scene,
+                     {.scene = now.name, .before = now.scene, .after = after, .blobs = blobs});
+    }
+    return complaints;
 }
 
 Complaints SceneWriter::stage_open(const ReadyScene& scene, Batch& batch) {

@@ -28,9 +28,10 @@ public:
     ~SceneWriter();
 
     /// `done` is called on the strand, when the scene has a version with the edits in it, as far as
-    /// they could be done.
+    /// they could be done. What the operations name is in the scene or among the blobs `brought`
+    /// along.
     void edit(const ScenePtr& scene, std::vector<EditOperation> operations,
-              std::function<void(const Complaints&)> done);
+              const BlobStore& brought, std::function<void(const Complaints&)> done);
     /// A new open scene, once `done` is called without complaints; the names in its tables become
     /// unique.
     void open(const ReadyScene& scene, std::function<void(const Complaints&)> done);
@@ -43,6 +44,7 @@ private:
         ScenePtr scene;  ///< to be edited; null:
         ReadyScene to_open;
         std::vector<EditOperation> operations;
+        BlobStore brought;
         std::function<void(const Complaints&)> done;
     };
     struct Batch;

@@ -46,6 +46,17 @@ std::string no_open_scene(const std::string& name, const SceneStore& store) {
                        fmt::join(store.open_names(), ", "));
 }
 
+/// The blobs that an edit brings along.
+BlobStore blobs_of(const SceneEdit& edit, std::span<const std::byte> payload) {
+    BlobStore blobs;
+    for (const std::uint64_t bytes : edit.blob_bytes) {
+        const auto blob = payload.first(bytes);
+        blobs.insert(Bytes(blob.begin(), blob.end()));
+        payload = payload.subspan(bytes);
+    }
+    return blobs;
+}
+
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
@@ -113,7 +124,7 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
     } else if (const auto* watched = message.get<SceneWatch>()) {
         watch(*watched, store);
     } else if (const auto* edited = message.get<SceneEdit>()) {
-        edit(*edited, store, writer);
+        edit(*edited, blobs_of(*edited, message.payload.bytes), store, writer);
     } else if (const auto* wanted = message.get<BlobRequest>()) {
         send_blobs_of(*wanted, store);
     } else if (const auto* view = message.get<View>()) {
@@ -185,7 +196,8 @@ void ViewerSession::watch(const SceneWatch& watch, SceneStore& store) {
     news_.cancel();
 }
 
-void ViewerSession::edit(const SceneEdit& edit, SceneStore& store, SceneWriter& writer) {
+void ViewerSession::edit(const SceneEdit& edit, const BlobStore& brought, SceneStore& store,
+                         SceneWriter& writer) {
     const ScenePtr scene = store.find_open(edit.scene);
     EditResult result{.request = edit.request, .scene = edit.scene, .complaints = {}};
     if (!may_edit_) {
@@ -197,7 +209,7 @@ void ViewerSession::edit(const SceneEdit& edit, SceneStore& store, SceneWriter& 
         return connection_->send({std::move(result), {}});
     }
     ++unwritten_;
-    writer.edit(scene, edit.operations,
+    writer.edit(scene, edit.operations, brought,
                 [self = shared_from_this(), scene, result](const Complaints& complaints) mutable {
                     --self->unwritten_;
                     self->written_.cancel();

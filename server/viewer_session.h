@@ -31,7 +31,8 @@ private:
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
     void share(const SceneShare& share, RenderFarm& farm, SceneWriter& writer);
     void watch(const SceneWatch& watch, SceneStore& store);
-    void edit(const SceneEdit& edit, SceneStore& store, SceneWriter& writer);
+    void edit(const SceneEdit& edit, const BlobStore& brought, SceneStore& store,
+              SceneWriter& writer);
     void send_blobs_of(const BlobRequest& request, SceneStore& store);
     void show(const View& view, RenderFarm& farm, SceneStore& store);
     void end_view(std::uint64_t request);

@@ -86,7 +86,7 @@ void WorkerSession::send_blobs_of(const BlobRequest& request) {
     const auto held = scenes_.find(request.scene);
     if (held == scenes_.end() || request.blobs.empty()) return;
     asio::co_spawn(connection_->executor(),
-                   send_blobs(connection_, held->second.sent.blobs, request.blobs),
+                   send_blobs(connection_, held->second.offered, request.blobs),
                    [self = shared_from_this()](std::exception_ptr error) {
                        if (error) self->close();
                    });
@@ -100,8 +100,10 @@ bool WorkerSession::bring(const ReadyScene& scene, TracerKind tracer) {
     const bool from_nothing = !known || !held->second.failure.empty();
     const SceneDelta delta =
         diff(from_nothing ? SceneVersion{} : *held->second.sent.scene, *scene.scene);
-    SceneState& state =
-        scenes_[scene.name] = {.sent = scene, .ready = false, .report = {}, .failure = {}};
+    BlobStore offered = known ? held->second.offered : BlobStore{};
+    offered.merge(scene.blobs);
+    SceneState& state = scenes_[scene.name] = {
+        .sent = scene, .offered = std::move(offered), .ready = false, .report = {}, .failure = {}};
     try {
         connection_->send({SceneUpdate{scene.name, delta, tracer}, {}});
         unanswered_.push_back(scene.name);
@@ -140,6 +142,7 @@ void WorkerSession::became_ready(const SceneReady& ready, RenderFarm& farm) {
     // It may speak of a scene that was dropped or changed in the meantime.
     if (held == scenes_.end() || held->second.sent.scene->version != ready.version) return;
     held->second.ready = true;
+    held->second.offered = held->second.sent.blobs;
     held->second.report = ready;
     held->second.failure.clear();
     spdlog::info("worker {} has built {} version {} in {:.2f} s", name_, ready.scene, ready.version,

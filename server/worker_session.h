@@ -34,6 +34,7 @@ public:
     /// How far the worker is with a version of a scene.
     struct SceneState {
         ReadyScene sent;
+        BlobStore offered;  ///< of all versions sent since one was ready: it may ask for them
         bool ready = false;
         SceneReady report;    ///< when ready
         std::string failure;  ///< not empty when the worker cannot build it

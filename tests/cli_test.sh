@@ -45,6 +45,17 @@ expect_ok "compare" tessera compare "$work/a.exr" "$work/b.exr" --json
 grep -q '"identical": true' "$work/out" || fail "file and generated scene differ"
 expect_ok "png" tessera render cornell -o "$work/c.png" --size 40x30 --integrator path --passes 2 --tone filmic
 expect_ok "time limit" tessera render cornell -o "$work/d.png" --size 40x30 --time 0.2
+animate() { tessera render museum:64 --animate 0:1:2 -o "$work/fly_%02d.png" --size 40x30; }
+expect_ok "sequence" animate
+cp "$work/fly_01.png" "$work/whole.png"
+cmp -s "$work/fly_00.png" "$work/fly_01.png" && fail "nothing moves in a sequence"
+truncate -s 100 "$work/fly_01.png"
+expect_ok "sequence that goes on" animate
+grep -q "1 pictures in .* 1 were there already" "$work/err" || fail "the sequence does not go on where it stopped"
+cmp -s "$work/fly_01.png" "$work/whole.png" || fail "a picture of a sequence differs the second time"
+expect_error "needs one %d" tessera render museum:64 --animate 0:1:2 -o "$work/fly.png"
+expect_error "FROM:TO:FPS" tessera render museum:64 --animate 0:1 -o "$work/fly_%d.png"
+expect_error "nothing in it moves" tessera render cornell --animate 0:1:2 -o "$work/fly_%d.png"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >"$work/dark.obj"
 expect_ok "no light, no camera" tessera render "$work/dark.obj" -o "$work/dark.png" --size 20x20
 grep -q "no light" "$work/err" || fail "does not say that there is no light"

@@ -44,6 +44,25 @@ TEST(Mesh, decoding_undoes_encoding) {
     EXPECT_EQ(decode_texture(encode(light)), light);
 }
 
+TEST(Mesh, shapes_come_back_and_fit_their_meshes_only) {
+    std::mt19937 random(5);
+    for (int i = 0; i < 100; ++i) {
+        const Mesh mesh = random_mesh(random, i & 1, i & 2, i & 4);
+        EXPECT_EQ(vertex_count(encode(mesh)), mesh.positions.size());
+        Shape shape{mesh.positions, mesh.normals};
+        const Bytes bytes = encode(shape);
+        ASSERT_EQ(decode_shape(bytes), shape);
+        EXPECT_EQ(reshaped(mesh, shape), mesh);
+        EXPECT_EQ(vertex_count(bytes), 0u);
+        EXPECT_THROW(decode_mesh(bytes), std::runtime_error);
+        EXPECT_THROW(decode_shape(std::span(bytes).first(bytes.size() - 1)), std::runtime_error);
+        shape.positions.pop_back();
+        EXPECT_THROW(reshaped(mesh, shape), std::runtime_error);
+        shape.normals.resize(1 + shape.positions.size());
+        EXPECT_THROW(decode_shape(encode(shape)), std::runtime_error);
+    }
+}
+
 TEST(Mesh, equal_meshes_have_equal_bytes) {
     std::mt19937 a(7), b(7);
     EXPECT_EQ(encode(random_mesh(a, true, true, true)), encode(random_mesh(b, true, true, true)));

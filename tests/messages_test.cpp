@@ -183,6 +183,22 @@ TEST(Messages, payloads_belong_to_their_kinds) {
     EXPECT_THROW(decode({.kind = 33}, {}, {}), ProtocolError);
 }
 
+TEST(Messages, blobs_of_an_edit_fill_its_payload) {
+    const auto arrives = [](std::vector<std::uint64_t> sizes, std::size_t payload) {
+        const auto bytes = std::make_shared<Bytes>(payload);
+        const EncodedMessage sent =
+            encode({SceneEdit{1, "scene", {}, std::move(sizes)}, {bytes, *bytes}});
+        const auto head = std::span(sent.head);
+        const FrameHeader header = decode_header(head.first<frame_header_bytes>(), {});
+        return decode(header, head.subspan(frame_header_bytes), sent.payload).payload.bytes.size();
+    };
+    EXPECT_EQ(arrives({}, 0), 0u);
+    EXPECT_EQ(arrives({3, 0, 4}, 7), 7u);
+    EXPECT_THROW(arrives({3, 5}, 7), ProtocolError);
+    EXPECT_THROW(arrives({3}, 7), ProtocolError);
+    EXPECT_THROW(arrives({~std::uint64_t(0), 8}, 7), ProtocolError);
+}
+
 TEST(Messages, a_payload_is_shared_and_not_copied) {
     const auto bytes = std::make_shared<const Bytes>(8);
     const BlobChunk chunk{.blob = {}, .offset = 0, .total = 8};

@@ -109,10 +109,12 @@ private:
     Object make_one(Object) {
         return {.name = name(),
                 .mesh = number(),
-                .materials = std::vector<std::uint32_t>(below(4), number())};
+                .materials = std::vector<std::uint32_t>(below(4), number()),
+                .shape = int(below(5)) - 1};
     }
     Instance make_one(Instance) {
-        Instance out{.name = name(), .object = number(), .world_from_object = mat4(0)};
+        Instance out{
+            .name = name(), .object = number(), .world_from_object = mat4(0), .moves = coin()};
         for (int i = 0; i < 16; ++i) out.world_from_object[i / 4][i % 4] = real();
         return out;
     }
@@ -174,6 +176,7 @@ private:
         out.delta.next_version = 1000 + big() / 2;
         out.delta.meshes = table<BlobId>();
         out.delta.textures = table<BlobId>();
+        out.delta.shapes = table<BlobId>();
         out.delta.objects = table<Object>();
         out.delta.instances = table<Instance>();
         out.delta.materials = table<Material>();
@@ -310,7 +313,7 @@ private:
     std::optional<vec3> maybe_vector() { return coin() ? std::optional(vector()) : std::nullopt; }
     std::optional<float> maybe_real() { return coin() ? std::optional(real()) : std::nullopt; }
     EditOperation make_one(const EditOperation&) {
-        switch (below(8)) {
+        switch (below(9)) {
             case 0:
                 return SetTransform{name(), transform()};
             case 1:
@@ -327,6 +330,8 @@ private:
                 return CreateLight{make_one(Light{})};
             case 6:
                 return DeleteLight{name()};
+            case 7:
+                return SetShape{name(), blob()};
             default:
                 return SetCamera{make_one(Camera{})};
         }
@@ -334,7 +339,10 @@ private:
     SceneShare make_one(SceneShare) { return {.scene = name()}; }
     SceneWatch make_one(SceneWatch) { return {.scene = name()}; }
     SceneEdit make_one(SceneEdit) {
-        return {.request = big(), .scene = name(), .operations = list<EditOperation>()};
+        return {.request = big(),
+                .scene = name(),
+                .operations = list<EditOperation>(),
+                .blob_bytes = {}};
     }
     EditResult make_one(EditResult) {
         return {.request = big(), .scene = name(), .version = big(), .complaints = names()};

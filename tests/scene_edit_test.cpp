@@ -30,7 +30,7 @@ public:
     explicit RandomEdits(unsigned seed) : random_(seed) {}
 
     EditOperation one() {
-        switch (below(8)) {
+        switch (below(9)) {
             case 0:
                 return SetTransform{name(), transform()};
             case 1:
@@ -45,6 +45,8 @@ public:
                 return CreateLight{{.name = name(), .intensity = vector()}};
             case 6:
                 return DeleteLight{name()};
+            case 7:
+                return SetShape{below(2) ? "chair" : name(), blob_id({})};
             default:
                 return SetCamera{{.name = name(), .eye = vector(), .at = vector()}};
         }
@@ -122,6 +124,34 @@ TEST(SceneEdit, what_is_not_set_stays) {
     const Scene before = small_scene();
     EXPECT_EQ(apply_edits(before, {SetMaterial{.material = "red"}, SetLight{.light = "sun"}}).scene,
               before);
+}
+
+TEST(SceneEdit, what_has_moved_once_is_marked_and_no_other) {
+    const Scene before = small_scene();
+    EXPECT_EQ(apply_edits(before, {SetTransform{.instance = "b"}}).scene, before);
+    SetTransform away{.instance = "b"};
+    away.world_from_object[3].x = 1;
+    const Scene after = apply_edits(before, {away, SetTransform{.instance = "b"}}).scene;
+    for (const Instance& instance : after.instances)
+        EXPECT_EQ(instance.moves, instance.name == "b");
+}
+
+TEST(SceneEdit, each_object_has_a_shape_of_its_own) {
+    const std::vector<std::byte> one(1), two(2), three(3);
+    Scene scene = small_scene();
+    scene.shapes = {blob_id({})};
+    for (Object& object : scene.objects) object.shape = 0;
+    const auto shape_of = [&](std::size_t object) {
+        return scene.shapes[std::size_t(scene.objects[object].shape)];
+    };
+    scene = apply_edits(scene, {SetShape{"chair", blob_id(one)}}).scene;
+    EXPECT_EQ(shape_of(0), blob_id(one));
+    EXPECT_EQ(shape_of(1), blob_id({}));
+    scene = apply_edits(scene, {SetShape{"desk", blob_id(two)}, SetShape{"chair", blob_id(three)}})
+                .scene;
+    EXPECT_EQ(shape_of(0), blob_id(three));
+    EXPECT_EQ(shape_of(1), blob_id(two));
+    EXPECT_EQ(scene.shapes.size(), 2u);
 }
 
 TEST(SceneEdit, unknown_and_taken_names_are_told) {

@@ -643,6 +643,39 @@ TEST(Server, an_edit_is_seen_by_all_who_watch_and_rendered) {
     });
 }
 
+/// An edit that brings the object's shape along.
+asio::awaitable<EditResult> reshape(std::shared_ptr<Connection> viewer, Shape shape) {
+    const auto blob = std::make_shared<const Bytes>(encode(shape));
+    SceneEdit edit{7, "scene", {SetShape{"o", blob_id(*blob)}}, {blob->size()}};
+    viewer->send({std::move(edit), {blob, *blob}});
+    const Message message = co_await receive<EditResult>(viewer);
+    co_return *message.get<EditResult>();
+}
+
+TEST(Server, shapes_come_with_their_edits_and_reach_the_workers) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        Watcher viewer;
+        viewer.connection = co_await join(host, Role::viewer);
+        viewer.connection->send({SceneWatch{"scene"}, {}});
+        for (std::uint64_t version = 2; version < 6; ++version) {
+            Shape shape{.positions = {vec3(0), vec3(float(version)), vec3(0, 1, 0)}, .normals = {}};
+            const EditResult result = co_await reshape(viewer.connection, shape);
+            EXPECT_EQ(result.version, version);
+            EXPECT_TRUE(result.complaints.empty());
+            co_await viewer.catch_up(version);
+            EXPECT_EQ(viewer.held.scene.shapes, std::vector<BlobId>{blob_id(encode(shape))});
+        }
+        expect_exact(co_await render(viewer.connection, small_request()), small_request().spec);
+        Shape too_small{.positions = {vec3(0)}, .normals = {}};
+        const EditResult refused = co_await reshape(viewer.connection, too_small);
+        EXPECT_EQ(refused.version, 5u);
+        EXPECT_EQ(refused.complaints.size(), 1u);
+    });
+}
+
 TEST(Server, edits_that_cannot_be_done_are_told_and_change_nothing) {
     Host host;
     host.server.add_scene("scene", small_scene(1));

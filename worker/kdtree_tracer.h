@@ -19,9 +19,11 @@ struct KdTreeTracerConfig {
 };
 
 /// Rays hit a baked triangle where baked_position() puts its corners, and any other where they hit
-/// it when they are transformed to its object's space.
+/// it when they are transformed to its object's space. Trees are taken over from `before`, as far
+/// as it was built in this way: see build_tracer().
 std::unique_ptr<Tracer> build_kdtree_tracer(std::span<const TracerObject> objects,
                                             std::span<const TracerInstance> instances, int threads,
-                                            const KdTreeTracerConfig& config = {});
+                                            const KdTreeTracerConfig& config = {},
+                                            const Tracer* before = nullptr);
 
 }  // namespace tessera

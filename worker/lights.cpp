@@ -55,7 +55,7 @@ Lights::Lights(const Surfaces& surfaces, const Box& bounds)
     first_of_instance_.push_back(std::uint32_t(triangles_.size()));
     for (const Light& light : punctual_) powers.push_back(power(light));
     // All that falls through the surface of the bounding sphere.
-    if (!sky_.empty()) powers.push_back(pi * radius_ * radius_ * sky_.mean_irradiance());
+    if (!sky_->empty()) powers.push_back(pi * radius_ * radius_ * sky_->mean_irradiance());
     choice_ = Distribution(powers);
     if (powers.size() > most_chosen_by_power) build_tree(powers);
 }
@@ -113,6 +113,7 @@ void Lights::add_triangles(std::uint32_t instance, std::vector<float>& powers) {
     const auto emits = [&](std::uint32_t t) {
         return surfaces_->material(instance, t).emission != vec3(0);
     };
+    if (!surfaces_->emits(instance)) return;
     for (std::uint32_t t = 0; t < surfaces_->triangle_count(instance); ++t) {
         if (!emits(t)) continue;
         const Material& m = surfaces_->material(instance, t);
@@ -161,10 +162,10 @@ std::optional<LightSample> Lights::sample(const vec3& p, float u_light, const ve
 }
 
 std::optional<LightSample> Lights::sample_sky(float probability, const vec2& u) const {
-    const Sky::Direction d = sky_.sample(u);
+    const Sky::Direction d = sky_->sample(u);
     LightSample s;
     s.wi = d.dir;
-    s.radiance = sky_.radiance(d.dir);
+    s.radiance = sky_->radiance(d.dir);
     s.pdf = probability * d.pdf;
     return s;
 }
@@ -225,7 +226,7 @@ float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const
 }
 
 float Lights::sky_pdf(const vec3& dir) const {
-    return sky_.empty() ? 0 : probability(centre_, std::uint32_t(size() - 1)) * sky_.pdf(dir);
+    return sky_->empty() ? 0 : probability(centre_, std::uint32_t(size() - 1)) * sky_->pdf(dir);
 }
 
 EmissionSample Lights::sample_emission(float u_light, const vec2& u_place,
@@ -273,9 +274,9 @@ EmissionSample Lights::emit_from_punctual(const Light& light, const vec2& u_plac
 }
 
 EmissionSample Lights::emit_from_sky(const vec2& u_place, const vec2& u_dir) const {
-    const Sky::Direction d = sky_.sample(u_dir);
+    const Sky::Direction d = sky_->sample(u_dir);
     EmissionSample s = emit_from_disc(-d.dir, u_place);
-    s.flux *= sky_.radiance(d.dir) / d.pdf;
+    s.flux *= sky_->radiance(d.dir) / d.pdf;
     return s;
 }
 

@@ -4,6 +4,7 @@
 // receiver, or outward as the start of a light path.
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -40,9 +41,9 @@ public:
     std::size_t triangle_count() const { return triangles_.size(); }
     /// Triangles, punctual lights and the sky.
     std::size_t size() const {
-        return triangles_.size() + punctual_.size() + (sky_.empty() ? 0 : 1);
+        return triangles_.size() + punctual_.size() + (sky_->empty() ? 0 : 1);
     }
-    const Sky& sky() const { return sky_; }
+    const Sky& sky() const { return *sky_; }
     /// Whether lights are chosen by what they can send to the receiver.
     bool has_tree() const { return !tree_.empty(); }
 
@@ -94,7 +95,7 @@ private:
     std::vector<TriangleLight> triangles_;  ///< sorted by instance, then triangle
     std::vector<std::uint32_t> first_of_instance_;
     std::vector<Light> punctual_;
-    Sky sky_;
+    std::shared_ptr<const Sky> sky_;
     Distribution choice_;  ///< by power, over triangles_, then punctual_, then the sky
     LightTree tree_;       ///< over the same; those that are everywhere have no power there
     Distribution far_;     ///< over the same; only those that are everywhere

@@ -377,7 +377,7 @@ void closest_from(const Scene& scene, const vec3& origin, std::span<const vec3> 
         const Alive alive(all, targets, 0);
         Closest best(scene, alive);
         if (scene.single) {
-            ObjectClosest(scene, scene.objects[0], scene.single_id, nullptr, origin, rays, alive,
+            ObjectClosest(scene, scene.object(0), scene.single_id, nullptr, origin, rays, alive,
                           best)
                 .run(alive.groups);
         } else {

@@ -320,7 +320,7 @@ Hit trace(const Scene& scene, const Ray& ray) {
     if (!is_sound(ray)) return {};
     Query<any_hit> query(scene, ray.tmax);
     if (scene.single)
-        query.trace(scene.objects[0], ray, scene.single_id);
+        query.trace(scene.object(0), ray, scene.single_id);
     else
         query.trace(ray);
     return query.result();
@@ -451,7 +451,7 @@ void closest_hits(const Scene& scene, std::span<const Ray> rays, std::span<Hit> 
 }
 
 void occluded(const Scene& scene, std::span<const Ray> rays, std::span<std::uint8_t> blocked) {
-    if (scene.single) return OcclusionWave(scene.objects[0], rays, blocked).run();
+    if (scene.single) return OcclusionWave(scene.object(0), rays, blocked).run();
     for (std::size_t i = 0; i < rays.size(); ++i) blocked[i] = trace<true>(scene, rays[i]).valid();
 }
 

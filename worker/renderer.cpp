@@ -203,28 +203,43 @@ bool has_cutouts(const Scene& scene) {
                        [](const Material& m) { return m.alpha_mode != AlphaMode::opaque; });
 }
 
+/// Null until it is asked for.
+struct BuiltTracer {
+    std::shared_ptr<const Tracer> before;  ///< of the version before, until it is built
+    std::shared_ptr<const Tracer> plain;
+    std::shared_ptr<const Tracer> tracer;  ///< that knows of holes
+};
+
 }  // namespace
 
 struct Renderer::State {
-    State(const Scene& scene, const BlobStore& blobs, const RendererConfig& renderer_config)
+    State(const Scene& scene, const BlobStore& blobs, const RendererConfig& renderer_config,
+          State* before)
         : config(renderer_config),
-          surfaces(scene, blobs),
+          surfaces(scene, blobs, before ? &before->surfaces : nullptr),
           lights(surfaces, surfaces.bounds()),
           has_rest(std::any_of(scene.materials.begin(), scene.materials.end(),
                                [&](const Material& m) { return surfaces.has_rest(m); })),
-          plan(make_plan(scene, surfaces, lights)) {}
+          plan(make_plan(scene, surfaces, lights)) {
+        if (!before) return;
+        const std::lock_guard lock(before->build_mutex);
+        for (std::size_t i = 0; i < tracers.size(); ++i)
+            tracers[i].before = before->tracers[i].plain;
+    }
 
     std::shared_ptr<const Tracer> tracer(TracerKind kind) {
         const std::lock_guard lock(build_mutex);
-        std::shared_ptr<const Tracer>& slot = tracers[std::size_t(kind)];
-        if (!slot) {
+        BuiltTracer& slot = tracers[std::size_t(kind)];
+        if (!slot.plain) {
             const auto start = Clock::now();
-            slot = build_tracer(kind, surfaces.tracer_objects(), surfaces.tracer_instances(),
-                                config.threads);
-            if (has_cutouts(surfaces.scene())) slot = with_cutouts(slot, surfaces);
+            slot.plain = build_tracer(kind, surfaces.tracer_objects(), surfaces.tracer_instances(),
+                                      config.threads, slot.before.get());
+            slot.before.reset();
+            slot.tracer =
+                has_cutouts(surfaces.scene()) ? with_cutouts(slot.plain, surfaces) : slot.plain;
             build_seconds = build_seconds + seconds_since(start);
         }
-        return slot;
+        return slot.tracer;
     }
 
     std::shared_ptr<FrameState> find(std::uint64_t frame) {
@@ -239,14 +254,16 @@ struct Renderer::State {
     bool has_rest;
     ScenePlan plan;
     std::mutex build_mutex;
-    std::array<std::shared_ptr<const Tracer>, 2> tracers;
+    std::array<BuiltTracer, 2> tracers;
     std::atomic<double> build_seconds = 0;
     std::mutex frames_mutex;
     std::map<std::uint64_t, std::shared_ptr<FrameState>> frames;
 };
 
-Renderer::Renderer(const Scene& scene, const BlobStore& blobs, const RendererConfig& config)
-    : state_(std::make_unique<State>(scene, blobs, config)) {}
+Renderer::Renderer(const Scene& scene, const BlobStore& blobs, const RendererConfig& config,
+                   const Renderer* before)
+    : state_(
+          std::make_unique<State>(scene, blobs, config, before ? before->state_.get() : nullptr)) {}
 
 Renderer::~Renderer() = default;
 

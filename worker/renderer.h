@@ -24,9 +24,11 @@ struct RendererConfig {
 
 class Renderer {
 public:
-    /// Decodes meshes and textures.
-    /// Throws std::runtime_error naming a blob that is missing or broken.
-    Renderer(const Scene& scene, const BlobStore& blobs, const RendererConfig& config);
+    /// Decodes meshes and textures. Takes over from `before`, of an earlier version of the scene or
+    /// null, whatever did not change, and gives the same pictures as without it; needs it no longer
+    /// afterwards. Throws std::runtime_error naming a blob that is missing or broken.
+    Renderer(const Scene& scene, const BlobStore& blobs, const RendererConfig& config,
+             const Renderer* before = nullptr);
     ~Renderer();
 
     const ScenePlan& plan() const;

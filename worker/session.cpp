@@ -109,11 +109,13 @@ void Session::build_next_scene() {
     };
     run_in(
         pools_.scenes,
-        [scene = *scene, tracer = tracers_[scene->name], threads = int(build_threads_)] {
+        [scene = *scene, tracer = tracers_[scene->name], threads = int(build_threads_),
+         before = newest_renderer(scene->name)] {
             Built built;
             built.error = error_of([&] {
-                built.renderer = std::make_shared<Renderer>(scene.scene->scene, scene.blobs,
-                                                            RendererConfig{.threads = threads});
+                built.renderer =
+                    std::make_shared<Renderer>(scene.scene->scene, scene.blobs,
+                                               RendererConfig{.threads = threads}, before.get());
                 built.renderer->prepare(tracer);
             });
             return built;
@@ -154,6 +156,11 @@ void Session::on(const SceneDrop& drop) {
     receiver_.drop(drop.scene);
     tracers_.erase(drop.scene);
     renderers_.erase(drop.scene);
+}
+
+std::shared_ptr<Renderer> Session::newest_renderer(const std::string& scene) const {
+    const auto it = renderers_.find(scene);
+    return it == renderers_.end() || it->second.empty() ? nullptr : it->second.back().renderer;
 }
 
 std::shared_ptr<Renderer> Session::find_renderer(const std::string& scene,

@@ -70,6 +70,8 @@ private:
     void build_next_scene();
     void scene_built(const ReadyScene& scene, std::shared_ptr<Renderer> renderer,
                      const std::string& error);
+    /// Null when there is none.
+    std::shared_ptr<Renderer> newest_renderer(const std::string& scene) const;
     /// Null when the version is not held.
     std::shared_ptr<Renderer> find_renderer(const std::string& scene, std::uint64_t version) const;
     void frame_ready(const std::shared_ptr<Frame>& frame, const std::string& error);

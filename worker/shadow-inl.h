@@ -300,7 +300,7 @@ RayMask occluded_from(const Scene& scene, const vec3& light, const Targets& targ
         Alive alive = asked;
         const PointRays rays(light, targets, first);
         if (scene.single) {
-            ObjectShadows(scene, scene.objects[0], scene.single_id, nullptr, light, rays, alive,
+            ObjectShadows(scene, scene.object(0), scene.single_id, nullptr, light, rays, alive,
                           cache)
                 .run(alive.groups);
         } else {

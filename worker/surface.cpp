@@ -64,47 +64,124 @@ bool is_lambert(const Material& m) {
     return m.metallic == 0 && m.specular == 0 && m.transmission == 0;
 }
 
+/// Throws std::runtime_error when a triangle has no material.
+void check_slots(const Object& object, const Mesh& mesh) {
+    for (const std::uint16_t slot : mesh.slots)
+        if (slot >= std::max<std::size_t>(object.materials.size(), 1))
+            throw std::runtime_error(
+                fmt::format("object {}: no material for slot {}", object.name, slot));
+}
+
 }  // namespace
 
-Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs) : scene_(scene) {
+Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before)
+    : scene_(scene) {
     validate(scene);
-    for (const BlobId& id : scene.meshes)
-        meshes_.push_back(decode_blob(blobs, id, "mesh", decode_mesh));
-    for (const BlobId& id : scene.textures) {
-        textures_.push_back(decode_blob(blobs, id, "texture", decode_texture));
-        sanitised_texels_ += sanitise(textures_.back());
-        texture_means_.push_back(mean_color(textures_.back()));
-    }
-    for (const Object& object : scene.objects)
-        for (const std::uint16_t slot : meshes_[object.mesh].slots)
-            if (slot >= std::max<std::size_t>(object.materials.size(), 1))
-                throw std::runtime_error(
-                    fmt::format("object {}: no material for slot {}", object.name, slot));
-    std::vector<Box> boxes;
-    for (const Mesh& mesh : meshes_) boxes.push_back(bounds_of(mesh));
+    decode_meshes(blobs, before);
+    decode_textures(blobs, before);
+    place_objects(blobs, before);
+    sky_ = make_sky(before);
     for (const Instance& instance : scene.instances) {
         normal_from_object_.push_back(transpose(inverse(mat3(instance.world_from_object))));
-        bounds_.add(
-            transformed(boxes[scene.objects[instance.object].mesh], instance.world_from_object));
+        bounds_.add(transformed(geometry_[instance.object]->bounds, instance.world_from_object));
     }
+}
+
+void Surfaces::decode_meshes(const BlobStore& blobs, const Surfaces* before) {
+    const auto decode = [&](const BlobId& id) {
+        Mesh mesh = decode_blob(blobs, id, "mesh", decode_mesh);
+        const Box box = bounds_of(mesh);
+        return std::make_shared<const Geometry>(Geometry{std::move(mesh), box});
+    };
+    for (const BlobId& id : scene_.meshes) {
+        const bool known = before && before->meshes_.contains(id);
+        meshes_[id] = known ? before->meshes_.at(id) : decode(id);
+    }
+}
+
+void Surfaces::decode_textures(const BlobStore& blobs, const Surfaces* before) {
+    const auto decode = [&](const BlobId& id) {
+        Picture picture{.texture = decode_blob(blobs, id, "texture", decode_texture)};
+        picture.sanitised = sanitise(picture.texture);
+        picture.mean = mean_color(picture.texture);
+        return std::make_shared<const Picture>(std::move(picture));
+    };
+    for (std::size_t i = 0; i < scene_.textures.size(); ++i) {
+        const BlobId& id = scene_.textures[i];
+        const bool known =
+            before && i < before->textures_.size() && before->scene_.textures[i] == id;
+        textures_.push_back(known ? before->textures_[i] : decode(id));
+    }
+}
+
+void Surfaces::place_objects(const BlobStore& blobs, const Surfaces* before) {
+    const auto blobs_of = [](const Surfaces& surfaces, const Object& object) {
+        const Scene& scene = surfaces.scene_;
+        return std::pair(scene.meshes[object.mesh],
+                         object.shape < 0 ? BlobId{} : scene.shapes[std::size_t(object.shape)]);
+    };
+    for (std::size_t i = 0; i < scene_.objects.size(); ++i) {
+        const Object& object = scene_.objects[i];
+        const auto& rest = meshes_.at(scene_.meshes[object.mesh]);
+        const Object* earlier =
+            before && i < before->geometry_.size() ? &before->scene_.objects[i] : nullptr;
+        const bool known = earlier && blobs_of(*before, *earlier) == blobs_of(*this, object);
+        if (!known || earlier->materials.size() != object.materials.size())
+            check_slots(object, rest->mesh);
+        if (object.shape < 0 || known) {
+            geometry_.push_back(object.shape < 0 ? rest : before->geometry_[i]);
+            continue;
+        }
+        const BlobId& id = scene_.shapes[std::size_t(object.shape)];
+        Mesh mesh = decode_blob(blobs, id, "shape", [&](std::span<const std::byte> bytes) {
+            return reshaped(rest->mesh, decode_shape(bytes));
+        });
+        const Box box = bounds_of(mesh);
+        geometry_.push_back(std::make_shared<const Geometry>(Geometry{std::move(mesh), box}));
+    }
+}
+
+std::shared_ptr<const Sky> Surfaces::make_sky(const Surfaces* before) const {
+    const Environment& environment = scene_.environment;
+    const auto picture_of = [](const Surfaces& surfaces) -> const Picture* {
+        const std::int32_t texture = surfaces.scene_.environment.texture;
+        return texture < 0 ? nullptr : surfaces.textures_[std::size_t(texture)].get();
+    };
+    const Picture* picture = picture_of(*this);
+    if (before && before->scene_.environment == environment && picture_of(*before) == picture)
+        return before->sky_;
+    return std::make_shared<const Sky>(environment, picture ? &picture->texture : nullptr);
 }
 
 std::vector<TracerObject> Surfaces::tracer_objects() const {
     std::vector<TracerObject> out;
-    for (const Object& object : scene_.objects)
-        out.push_back({meshes_[object.mesh].positions, meshes_[object.mesh].triangles});
+    for (std::size_t i = 0; i < geometry_.size(); ++i)
+        out.push_back({geometry_[i]->mesh.positions, geometry_[i]->mesh.triangles,
+                       scene_.objects[i].shape >= 0});
     return out;
 }
 
 std::vector<TracerInstance> Surfaces::tracer_instances() const {
     std::vector<TracerInstance> out;
     for (const Instance& instance : scene_.instances)
-        out.push_back({instance.object, instance.world_from_object});
+        out.push_back({instance.object, instance.world_from_object, instance.moves});
     return out;
 }
 
 const Mesh& Surfaces::mesh_of(std::uint32_t instance) const {
-    return meshes_[scene_.objects[object_of(instance)].mesh];
+    return geometry_[object_of(instance)]->mesh;
+}
+
+std::uint64_t Surfaces::sanitised_texels() const {
+    std::uint64_t sum = 0;
+    for (const auto& picture : textures_) sum += picture->sanitised;
+    return sum;
+}
+
+bool Surfaces::emits(std::uint32_t instance) const {
+    return std::ranges::any_of(scene_.objects[object_of(instance)].materials, [&](std::uint32_t m) {
+        return scene_.materials[m].emission != vec3(0);
+    });
 }
 
 std::uint32_t Surfaces::triangle_count(std::uint32_t instance) const {
@@ -115,7 +192,7 @@ const Material& Surfaces::material(std::uint32_t instance, std::uint32_t triangl
     static const Material plain;
     const Object& object = scene_.objects[object_of(instance)];
     if (object.materials.empty()) return plain;
-    const Mesh& mesh = meshes_[object.mesh];
+    const Mesh& mesh = mesh_of(instance);
     return scene_.materials[object.materials[mesh.slots.empty() ? 0 : mesh.slots[triangle]]];
 }
 
@@ -144,7 +221,7 @@ vec2 Surfaces::texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) c
 }
 
 vec4 Surfaces::color(const TextureMap& map, const vec2& uv) const {
-    return map.texture < 0 ? vec4(1) : lookup(textures_[map.texture], apply(map, uv));
+    return map.texture < 0 ? vec4(1) : lookup(textures_[map.texture]->texture, apply(map, uv));
 }
 
 vec3 Surfaces::emission(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const {
@@ -168,14 +245,9 @@ float Surfaces::coverage(std::uint32_t instance, std::uint32_t triangle, const v
     return coverage(m, texcoord(mesh, mesh.triangles[triangle], b));
 }
 
-Sky Surfaces::sky() const {
-    const Environment& e = scene_.environment;
-    return {e, e.texture < 0 ? nullptr : &textures_[std::size_t(e.texture)]};
-}
-
 vec3 Surfaces::mean_emission(const Material& m) const {
     return m.emission_map.texture < 0 ? m.emission
-                                      : m.emission * texture_means_[m.emission_map.texture];
+                                      : m.emission * textures_[m.emission_map.texture]->mean;
 }
 
 SurfaceLook Surfaces::look(const Material& m, const vec2& uv) const {

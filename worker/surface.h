@@ -1,6 +1,8 @@
 // The scene decoded for rendering: meshes, textures and transforms in memory, and what a hit means.
 #pragma once
 
+#include <map>
+#include <memory>
 #include <vector>
 
 #include "common/scene.h"
@@ -41,8 +43,9 @@ struct WorldTriangle {
 /// Meshes, textures and materials of a scene, decoded. Immutable: any number of threads may ask.
 class Surfaces {
 public:
+    /// Shares with `before`, of an earlier version of the scene or null, what they have in common.
     /// Throws std::runtime_error naming a blob that is missing or broken, or an index out of range.
-    Surfaces(const Scene& scene, const BlobStore& blobs);
+    Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before = nullptr);
 
     /// What build_tracer() wants; the spans borrow from this.
     std::vector<TracerObject> tracer_objects() const;
@@ -67,17 +70,35 @@ public:
     vec3 mean_emission(const Material& material) const;
 
     /// The scene's environment, with its picture.
-    Sky sky() const;
+    const std::shared_ptr<const Sky>& sky() const { return sky_; }
+    /// Whether any triangle of the instance may emit.
+    bool emits(std::uint32_t instance) const;
     /// How much of the surface is there at barycentric weights `b`: 0 or 1 unless it blends.
     float coverage(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const;
     /// Values of textures that were not finite, or negative, and count as zero.
-    std::uint64_t sanitised_texels() const { return sanitised_texels_; }
+    std::uint64_t sanitised_texels() const;
     /// Whether the material can have lobes that are not broad.
     bool has_rest(const Material& material) const;
 
     const Scene& scene() const { return scene_; }
 
 private:
+    struct Geometry {
+        Mesh mesh;
+        Box bounds;
+    };
+    struct Picture {
+        Texture texture;
+        vec3 mean{0};
+        std::uint64_t sanitised = 0;
+    };
+    template <class T>
+    using Decoded = std::map<BlobId, std::shared_ptr<const T>>;
+
+    void decode_meshes(const BlobStore& blobs, const Surfaces* before);
+    void decode_textures(const BlobStore& blobs, const Surfaces* before);
+    void place_objects(const BlobStore& blobs, const Surfaces* before);
+    std::shared_ptr<const Sky> make_sky(const Surfaces* before) const;
     const Mesh& mesh_of(std::uint32_t instance) const;
     vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
     vec4 color(const TextureMap& map, const vec2& uv) const;
@@ -87,12 +108,12 @@ private:
                 const uvec3& corners, const vec2& uv, const vec3& n) const;
 
     Scene scene_;
-    std::vector<Mesh> meshes_;
-    std::vector<Texture> textures_;
-    std::vector<vec3> texture_means_;
+    Decoded<Geometry> meshes_;
+    std::vector<std::shared_ptr<const Picture>> textures_;   ///< by index
+    std::vector<std::shared_ptr<const Geometry>> geometry_;  ///< by object, in shape
+    std::shared_ptr<const Sky> sky_;
     std::vector<mat3> normal_from_object_;  ///< per instance: inverse transpose
     Box bounds_;
-    std::uint64_t sanitised_texels_ = 0;
 };
 
 }  // namespace tessera

@@ -25,12 +25,13 @@ void Tracer::closest_from(const vec3& origin, std::span<const vec3> dirs,
 }
 
 std::unique_ptr<Tracer> build_tracer(TracerKind kind, std::vector<TracerObject> objects,
-                                     std::vector<TracerInstance> instances, int threads) {
+                                     std::vector<TracerInstance> instances, int threads,
+                                     const Tracer* before) {
     CHECK(threads > 0);
     for (const TracerInstance& instance : instances) CHECK(instance.object < objects.size());
     switch (kind) {
         case TracerKind::kdtree:
-            return build_kdtree_tracer(objects, instances, threads);
+            return build_kdtree_tracer(objects, instances, threads, {}, before);
         case TracerKind::embree:
             return build_embree_tracer(objects, instances, threads);
     }

@@ -94,8 +94,11 @@ public:
     }
 };
 
-/// Builds a tracer over `objects` and `instances` with up to `threads` threads.
+/// Builds a tracer over `objects` and `instances` with up to `threads` threads. What they have in
+/// common with `before`, built from the same spans, may be taken over; it makes no difference to
+/// any answer. The meshes of both must be there; `before` may go afterwards.
 std::unique_ptr<Tracer> build_tracer(TracerKind kind, std::vector<TracerObject> objects,
-                                     std::vector<TracerInstance> instances, int threads);
+                                     std::vector<TracerInstance> instances, int threads,
+                                     const Tracer* before = nullptr);
 
 }  // namespace tessera

@@ -155,7 +155,7 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
     const auto place = [&](std::size_t i) {
         const auto& [object, world_from_object, moves] = instances[i];
         const auto inverse = inverse_affine(world_from_object);
-        const Box box = instance_bounds(scene.objects[object].tree.bounds, world_from_object);
+        const Box box = instance_bounds(scene.objects[object]->tree.bounds, world_from_object);
         const bool is_baked = !baked.empty() && baked[i];
         refs[i] = finite(box, inverse && !box.empty() && !is_baked ? 0 : none);
         if (inverse) scene.instances[i] = {object, std::uint32_t(i), *inverse};
@@ -165,7 +165,7 @@ void build_top(WideScene<width>& scene, std::span<const TracerInstance> instance
                           for (std::size_t i = part.begin(); i < part.end(); ++i) place(i);
                       });
 
-    const Box& of_baked = scene.objects.empty() ? Box() : scene.objects.back().tree.bounds;
+    const Box& of_baked = scene.objects.empty() ? Box() : scene.objects.back()->tree.bounds;
     if (!baked.empty() && !of_baked.empty()) {
         refs.push_back(finite(of_baked, 0));
         scene.instances.push_back({std::uint32_t(scene.objects.size() - 1), baked_instance, {}});

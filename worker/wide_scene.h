@@ -65,12 +65,13 @@ private:
 
 template <int width>
 struct WideScene {
-    std::vector<WideObject<width>> objects;
+    /// Never null. Versions of a scene share what they have in common.
+    std::vector<std::shared_ptr<const WideObject<width>>> objects;
     /// Empty, or for each object null or what it will be: `objects` then knows but its bounds.
-    std::vector<std::unique_ptr<LateObject<width>>> late;
-    bool single = false;          ///< object 0, untransformed, is all there is
-    std::uint32_t single_id = 0;  ///< the instance it is
-    TriangleNames names;          ///< of the triangles of baked_instance
+    std::vector<std::shared_ptr<LateObject<width>>> late;
+    bool single = false;                         ///< object 0, untransformed, is all there is
+    std::uint32_t single_id = 0;                 ///< the instance it is
+    std::shared_ptr<const TriangleNames> names;  ///< of the triangles of baked_instance
 
     WideTree<width>
         top;  ///< over the instances, in world space; its leaves hold runs of items, each once
@@ -78,14 +79,14 @@ struct WideScene {
     std::vector<WideInstance> instances;
 
     const WideObject<width>& object(std::uint32_t i) const {
-        return late.empty() || !late[i] ? objects[i] : late[i]->get();
+        return late.empty() || !late[i] ? *objects[i] : late[i]->get();
     }
 
-    const Box& bounds() const { return single ? objects[0].tree.bounds : top.bounds; }
+    const Box& bounds() const { return single ? objects[0]->tree.bounds : top.bounds; }
 
     /// What the caller calls a triangle that was hit.
     TriangleName name_of(std::uint32_t instance, std::uint32_t triangle) const {
-        return instance == baked_instance ? names[triangle] : TriangleName{instance, triangle};
+        return instance == baked_instance ? (*names)[triangle] : TriangleName{instance, triangle};
     }
 };
 

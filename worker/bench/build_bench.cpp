@@ -150,7 +150,8 @@ Contest top_level(const BenchScene& scene, int threads) {
     out.ours = with_width([&]<int width>(std::integral_constant<int, width>) {
         const auto built = std::make_shared<WideScene<width>>();
         for (const TracerObject& object : geometry.objects())
-            built->objects.push_back(build_object<width>(object, TreeBuilder::bvh));
+            built->objects.push_back(std::make_shared<const WideObject<width>>(
+                build_object<width>(object, TreeBuilder::bvh)));
         return in_arena(
             threads, [built, &geometry] { build_top(*built, std::span(geometry.instances), {}); });
     });
