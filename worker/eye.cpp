@@ -140,18 +140,28 @@ bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& car
 }
 
 Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
-    const ivec2 at = raster(pixel);
-    const std::uint32_t number = std::uint32_t(at.y) * std::uint32_t(size.width) + at.x;
-    return {index, hash(hash(seed, purpose), number)};
+    return {index, hash(hash(seed, purpose), number(pixel))};
+}
+
+SampleTable TilePass::samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
+                               std::uint32_t pairs) const {
+    std::vector<std::uint32_t> numbers;
+    numbers.reserve(pixels.size());
+    for (const std::uint32_t pixel : pixels) numbers.push_back(number(pixel));
+    return {pass, hash(seed, purpose), numbers, pairs};
 }
 
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
+    const std::vector<std::uint32_t> order = in_blocks(tile.rect);
+    const SampleTable samplers = tile.samplers(order, 0, 1);
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
-    for (const std::uint32_t pixel : in_blocks(tile.rect)) {
-        paths.push_back({.pixel = pixel, .sampler = tile.sampler(pixel, 0)});
-        rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
+    paths.reserve(order.size());
+    rays.reserve(order.size());
+    for (std::size_t i = 0; i < order.size(); ++i) {
+        paths.push_back({.pixel = order[i], .sampler = samplers[i]});
+        rays.push_back(camera.ray(vec2(tile.raster(order[i])) + paths.back().sampler.next()));
     }
     receivers.clear();
     const std::uint64_t traced =

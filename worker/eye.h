@@ -8,6 +8,7 @@
 #include "common/tile.h"
 #include "worker/camera.h"
 #include "worker/lights.h"
+#include "worker/sample_table.h"
 #include "worker/surface.h"
 #include "worker/tracer.h"
 
@@ -55,11 +56,19 @@ struct TilePass {
         const auto width = std::uint32_t(rect.width());
         return {rect.x0 + int(pixel % width), rect.y0 + int(pixel / width)};
     }
+    /// Of the pixel in the picture.
+    std::uint32_t number(std::uint32_t pixel) const {
+        const ivec2 at = raster(pixel);
+        return std::uint32_t(at.y) * std::uint32_t(size.width) + std::uint32_t(at.x);
+    }
     /// The sequence of one pixel; its points are indexed by the pass.
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const {
         return sampler(pixel, purpose, pass);
     }
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
+    /// The same for many pixels, with their first points, `pairs` each.
+    SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
+                         std::uint32_t pairs) const;
 };
 
 /// Whether a path goes on by ideal reflection or refraction; chosen by chance where `bsdf` scatters

@@ -92,6 +92,9 @@ DirectSample direct_candidate(const World& world, const IgiConfig& config, const
             light->radiance * (cosine / light->pdf) * response(world, config, v, *light, cosine)};
 }
 
+/// Points of a sampler that sample_direct() takes.
+constexpr std::uint32_t direct_pairs = 2;
+
 /// Adds the shadow ray to one point on a light.
 void sample_direct(const World& world, const IgiConfig& config, const LitVertex& v,
                    std::uint32_t pixel, Sampler& sampler, ShadowBatch& batch) {
@@ -135,6 +138,13 @@ void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint
     if (bounces + vpl.bounces > config.bounces) return;
     const vec3 e = throughput * float(per_set) * irradiance(s, vpl, config.max_geometry);
     if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
+}
+
+std::vector<std::uint32_t> pixels_of(std::span<const Receiver> receivers) {
+    std::vector<std::uint32_t> pixels;
+    pixels.reserve(receivers.size());
+    for (const Receiver& r : receivers) pixels.push_back(r.pixel);
+    return pixels;
 }
 
 /// The kind of lobe that sent a ray.
@@ -362,8 +372,10 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
     ShadowBatch batch;
-    for (const Receiver& r : receivers) {
-        Sampler sampler = tile.sampler(r.pixel, 1);
+    const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs);
+    for (std::size_t i = 0; i < receivers.size(); ++i) {
+        const Receiver& r = receivers[i];
+        Sampler sampler = samplers[i];
         sample_direct(world, config, {.at = r.surface}, r.pixel, sampler, batch);
     }
     return batch.trace(world.tracer, pixels, &PixelSample::direct);
@@ -402,10 +414,14 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
 std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiConfig& config,
                           const VplSets& sets, std::span<const Receiver> receivers,
                           std::span<PixelSample> pixels) {
+    // The points for a broad ray, and for a lamp and a VPL where it ends.
+    const SampleTable samplers = tile.samplers(pixels_of(receivers), 2, 1 + direct_pairs + 1);
     std::vector<RestPath> paths;
-    for (const Receiver& r : receivers)
-        paths.push_back(
-            {.pixel = r.pixel, .sampler = tile.sampler(r.pixel, 2), .vertex = {.at = r.surface}});
+    paths.reserve(receivers.size());
+    for (std::size_t i = 0; i < receivers.size(); ++i)
+        paths.push_back({.pixel = receivers[i].pixel,
+                         .sampler = samplers[i],
+                         .vertex = {.at = receivers[i].surface}});
     std::uint64_t traced = follow_rest(world, config, sets, paths, pixels, &PixelSample::indirect);
     if (!config.has_rest) return traced;
 

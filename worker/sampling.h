@@ -75,10 +75,17 @@ inline vec2 sobol_point(std::uint32_t index, std::uint32_t pair, std::uint32_t s
 /// Deals out the dimensions of one point of a sequence, two at a time.
 class Sampler {
 public:
-    Sampler(std::uint32_t index, std::uint32_t seed) : index_(index), seed_(seed) {}
-    vec2 next() { return sobol_point(index_, pair_++, seed_); }
+    /// `made`: its first points, where somebody has made them already (worker/sample_table.h).
+    Sampler(std::uint32_t index, std::uint32_t seed, std::span<const vec2> made = {})
+        : made_(made), index_(index), seed_(seed) {}
+
+    vec2 next() {
+        const std::uint32_t pair = pair_++;
+        return pair < made_.size() ? made_[pair] : sobol_point(index_, pair, seed_);
+    }
 
 private:
+    std::span<const vec2> made_;
     std::uint32_t index_;
     std::uint32_t seed_;
     std::uint32_t pair_ = 0;
