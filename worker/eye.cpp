@@ -79,6 +79,17 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
     return traced;
 }
 
+/// Whether pixels differ enough in what they see of lamps for some to be at a rim.
+bool has_rims(std::span<const PixelSample> pixels) {
+    vec3 lo(1), hi(0);
+    for (const PixelSample& pixel : pixels) {
+        const vec3 seen = glm::clamp(pixel.emitted, 0.0f, 1.0f);
+        lo = glm::min(lo, seen);
+        hi = glm::max(hi, seen);
+    }
+    return max_component(hi - lo) > rim_contrast;
+}
+
 /// Whether the neighbours of a pixel see lamps beside other things. The pixel's own ray has no say:
 /// that would favour what it happened to find.
 bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint32_t pixel) {
@@ -100,6 +111,7 @@ bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint
 /// nothing; only what emits is taken from them.
 std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TilePass& tile,
                           std::span<PixelSample> pixels) {
+    if (!has_rims(pixels)) return 0;
     std::vector<std::uint32_t> rims;
     for (std::uint32_t i = 0; i < pixels.size(); ++i)
         if (at_rim(tile, pixels, i)) rims.push_back(i);
@@ -144,11 +156,11 @@ Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint3
 }
 
 SampleTable TilePass::samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
-                               std::uint32_t pairs) const {
+                               std::uint32_t pairs, std::uint32_t index) const {
     std::vector<std::uint32_t> numbers;
     numbers.reserve(pixels.size());
     for (const std::uint32_t pixel : pixels) numbers.push_back(number(pixel));
-    return {pass, hash(seed, purpose), numbers, pairs};
+    return {index, hash(seed, purpose), numbers, pairs};
 }
 
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
@@ -164,6 +176,7 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
         rays.push_back(camera.ray(vec2(tile.raster(order[i])) + paths.back().sampler.next()));
     }
     receivers.clear();
+    receivers.reserve(order.size());
     const std::uint64_t traced =
         follow(world, std::move(paths), std::move(rays), pixels,
                [&](const EyePath& path, const Hit& hit, const SurfacePoint& s) {
@@ -174,9 +187,6 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
                    pixel.surface = surface_id(world, hit, path.mirrors);
                    receivers.push_back({path.pixel, s, path.throughput});
                });
-    // Blocks and mirrors shuffle the pixels: put them back in order.
-    std::sort(receivers.begin(), receivers.end(),
-              [](const Receiver& a, const Receiver& b) { return a.pixel < b.pixel; });
     return traced + refine_rims(world, camera, tile, pixels);
 }
 

@@ -68,7 +68,11 @@ struct TilePass {
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
     /// The same for many pixels, with their first points, `pairs` each.
     SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
-                         std::uint32_t pairs) const;
+                         std::uint32_t pairs) const {
+        return samplers(pixels, purpose, pairs, pass);
+    }
+    SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
+                         std::uint32_t pairs, std::uint32_t index) const;
 };
 
 /// Whether a path goes on by ideal reflection or refraction; chosen by chance where `bsdf` scatters
@@ -83,7 +87,7 @@ enum class Carries : std::uint8_t { radiance, flux };
 bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray);
 
 /// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the
-/// receivers in the order of their pixels. Returns the number of rays traced.
+/// receivers, those of neighbouring pixels near each other. Returns the number of rays traced.
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers);
 

@@ -1,5 +1,7 @@
 #include "worker/igi.h"
 
+#include <numeric>
+
 #include "worker/light_paths.h"
 
 namespace tessera {
@@ -20,6 +22,11 @@ struct ShadowBatch {
     std::vector<vec3> irradiance;
     std::vector<std::uint8_t> blocked;
 
+    void reserve(std::size_t count) {
+        rays.reserve(count);
+        pixels.reserve(count);
+        irradiance.reserve(count);
+    }
     void add(const Ray& ray, std::uint32_t pixel, const vec3& e) {
         rays.push_back(ray);
         pixels.push_back(pixel);
@@ -227,12 +234,18 @@ bool aim(const IgiConfig& config, RestPath& path, Ray& ray) {
     return kind == 1 ? aim_narrow(path, ray) : aim_ideal(path, ray);
 }
 
+/// Moves what is kept to the front of its list; mostly it is there.
+template <class T>
+void keep(const T& value, T& to) {
+    if (&value != &to) to = value;
+}
+
 /// Sends each path's next ray; paths that end leave the list.
 void aim_all(const IgiConfig& config, std::vector<RestPath>& paths, std::vector<Ray>& rays) {
     std::size_t kept = 0;
     rays.resize(paths.size());
     for (RestPath& path : paths)
-        if (aim(config, path, rays[kept]) && survives(path)) paths[kept++] = path;
+        if (aim(config, path, rays[kept]) && survives(path)) keep(path, paths[kept++]);
     paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
     rays.resize(kept);
 }
@@ -329,6 +342,16 @@ void for_each_packet(std::span<const Receiver* const> receivers, Gather gather) 
             first, std::min<std::size_t>(Targets::max_count, receivers.size() - first))));
 }
 
+/// Compensation costs as much as all the rest of a pixel and makes less of the noise: where it is
+/// nothing more, one pixel of so many side by side has a turn in each pass, and it counts for all.
+constexpr std::uint32_t rest_period = 2;
+
+bool has_turn(const TilePass& tile, std::uint32_t pixel, std::uint32_t period) {
+    const ivec2 at = tile.raster(pixel);
+    const auto x = std::uint32_t(at.x), y = std::uint32_t(at.y);
+    return (hash(hash(tile.seed, x / period), y) + tile.pass) % period == x % period;
+}
+
 /// Follows `paths` to their ends and adds what they find to `sum` of their pixels. Returns the
 /// number of rays traced.
 std::uint64_t follow_rest(const World& world, const IgiConfig& config, const VplSets& sets,
@@ -337,6 +360,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
     std::vector<Ray> rays;
     std::vector<Hit> hits;
     ShadowBatch batch;
+    batch.reserve(2 * paths.size());
     std::uint64_t traced = 0;
     while (!paths.empty()) {
         aim_all(config, paths, rays);
@@ -360,7 +384,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
                 sample_vpl(sets, config, s, path.pixel, path.vertex.broad, path.bounces,
                            path.sampler, batch);
             }
-            paths[kept++] = path;
+            keep(path, paths[kept++]);
         }
         paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
     }
@@ -372,6 +396,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
     ShadowBatch batch;
+    batch.reserve(receivers.size());
     const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs);
     for (std::size_t i = 0; i < receivers.size(); ++i) {
         const Receiver& r = receivers[i];
@@ -386,22 +411,32 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
                               std::span<PixelSample> pixels) {
     // Sort the receivers by set: rays from one VPL then follow each other.
     const std::uint32_t set_count = config.interleave * config.interleave;
-    std::vector<std::vector<const Receiver*>> of_set(set_count);
-    for (const Receiver& r : receivers)
-        of_set[set_index(tile.raster(r.pixel), sets.offset, config.interleave)].push_back(&r);
+    std::vector<std::uint32_t> ends(set_count);
+    const auto set_of = [&](const Receiver& r) {
+        return set_index(tile.raster(r.pixel), sets.offset, config.interleave);
+    };
+    for (const Receiver& r : receivers) ++ends[set_of(r)];
+    std::partial_sum(ends.begin(), ends.end(), ends.begin());
+    std::vector<const Receiver*> sorted(receivers.size());
+    for (auto r = receivers.rbegin(); r != receivers.rend(); ++r) sorted[--ends[set_of(*r)]] = &*r;
+    ends.push_back(std::uint32_t(receivers.size()));  // now the beginnings
+    const auto of_set = [&](std::uint32_t set) {
+        return std::span<const Receiver* const>(sorted).subspan(ends[set], ends[set + 1] - ends[set]);
+    };
 
     ShadowBatch batch;
+    batch.reserve(sets.vpls.size() / set_count * receivers.size());
     std::uint64_t traced = 0;
     for (std::uint32_t set = 0; set < set_count; ++set) {
-        if (of_set[set].size() >= ReceiverPacket::least) {
-            for_each_packet(of_set[set], [&](const ReceiverPacket& packet) {
+        if (of_set(set).size() >= ReceiverPacket::least) {
+            for_each_packet(of_set(set), [&](const ReceiverPacket& packet) {
                 for (const Vpl& vpl : sets.set(set))
                     traced += packet.gather(world.tracer, vpl, config.max_geometry, pixels);
             });
             continue;
         }
         for (const Vpl& vpl : sets.set(set)) {
-            for (const Receiver* r : of_set[set]) {
+            for (const Receiver* r : of_set(set)) {
                 const vec3 e = irradiance(r->surface, vpl, config.max_geometry);
                 if (max_component(e) > 0)
                     batch.add({vpl.org, 0, r->surface.org - vpl.org, 1}, r->pixel, e);
@@ -414,14 +449,24 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
 std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiConfig& config,
                           const VplSets& sets, std::span<const Receiver> receivers,
                           std::span<PixelSample> pixels) {
+    const std::uint32_t period = config.has_rest ? 1 : rest_period;
+    std::vector<const Receiver*> chosen;
+    std::vector<std::uint32_t> chosen_pixels;
+    for (const Receiver& r : receivers) {
+        if (!has_turn(tile, r.pixel, period)) continue;
+        chosen.push_back(&r);
+        chosen_pixels.push_back(r.pixel);
+    }
     // The points for a broad ray, and for a lamp and a VPL where it ends.
-    const SampleTable samplers = tile.samplers(pixels_of(receivers), 2, 1 + direct_pairs + 1);
+    const SampleTable samplers =
+        tile.samplers(chosen_pixels, 2, 1 + direct_pairs + 1, tile.pass / period);
     std::vector<RestPath> paths;
-    paths.reserve(receivers.size());
-    for (std::size_t i = 0; i < receivers.size(); ++i)
-        paths.push_back({.pixel = receivers[i].pixel,
+    paths.reserve(chosen.size());
+    for (std::size_t i = 0; i < chosen.size(); ++i)
+        paths.push_back({.pixel = chosen[i]->pixel,
                          .sampler = samplers[i],
-                         .vertex = {.at = receivers[i].surface}});
+                         .vertex = {.at = chosen[i]->surface, .broad = vec3(float(period))},
+                         .whole = pi * float(period)});
     std::uint64_t traced = follow_rest(world, config, sets, paths, pixels, &PixelSample::indirect);
     if (!config.has_rest) return traced;
 
