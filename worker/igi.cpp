@@ -132,6 +132,59 @@ void sample_direct(const World& world, const IgiConfig& config, const LitVertex&
               chosen.contribution * (total / (chosen_weight * float(candidates))));
 }
 
+/// Points that want direct light, answered together where all lights are lamps.
+class DirectBatch {
+public:
+    DirectBatch(const World& world, const IgiConfig& config, ShadowBatch& shadows)
+        : world_(world), config_(config), shadows_(shadows) {}
+
+    /// What sample_direct() does, at the latest in finish().
+    void add(const LitVertex& v, std::uint32_t pixel, Sampler& sampler) {
+        if (v.at.bsdf.glossy || world_.lights.lamps().lamps.empty())
+            return sample_direct(world_, config_, v, pixel, sampler, shadows_);
+        if (orgs_.size() == LampRequests::capacity) finish();
+        const std::size_t i = orgs_.size();
+        const vec2 u_choice = sampler.next();
+        const vec2 u_place = sampler.next();
+        for (int k = 0; k < 3; ++k) {
+            requests_.p[k][i] = v.at.p[k];
+            requests_.n[k][i] = v.at.n[k];
+            requests_.ng[k][i] = v.at.ng[k];
+            requests_.throughput[k][i] = v.broad[k];
+        }
+        for (int k = 0; k < 2; ++k) {
+            requests_.u_choice[k][i] = u_choice[k];
+            requests_.u_place[k][i] = u_place[k];
+        }
+        orgs_.push_back(v.at.org);
+        pixels_.push_back(pixel);
+    }
+
+    void finish() {
+        const LampSampling sampling{direct_candidates(world_), config_.max_geometry};
+        sample_lamps(world_.lights.lamps(), sampling, orgs_.size(), requests_);
+        for (std::size_t i = 0; i < orgs_.size(); ++i) {
+            const vec3 e = of(requests_.e, i);
+            if (e != vec3(0))
+                shadows_.add({orgs_[i], 0, of(requests_.end, i) - orgs_[i], 1}, pixels_[i], e);
+        }
+        orgs_.clear();
+        pixels_.clear();
+    }
+
+private:
+    static vec3 of(const LampRequests::Column (&columns)[3], std::size_t i) {
+        return {columns[0][i], columns[1][i], columns[2][i]};
+    }
+
+    const World& world_;
+    const IgiConfig& config_;
+    ShadowBatch& shadows_;
+    LampRequests requests_{};
+    std::vector<vec3> orgs_;
+    std::vector<std::uint32_t> pixels_;
+};
+
 /// Adds the shadow ray to one VPL of all sets, in place of a whole set; `throughput` scales what it
 /// brings, `bounces` counts the reflections there were already.
 void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint& s,
@@ -361,6 +414,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
     std::vector<Hit> hits;
     ShadowBatch batch;
     batch.reserve(2 * paths.size());
+    DirectBatch direct(world, config, batch);
     std::uint64_t traced = 0;
     while (!paths.empty()) {
         aim_all(config, paths, rays);
@@ -380,7 +434,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
             add_emission(world, config, path, hits[i], s, sum, pixels[path.pixel]);
             if (!advance(path, config, rays[i], hits[i].t, s)) continue;
             if (!s.bsdf.is_delta()) {
-                sample_direct(world, config, path.vertex, path.pixel, path.sampler, batch);
+                direct.add(path.vertex, path.pixel, path.sampler);
                 sample_vpl(sets, config, s, path.pixel, path.vertex.broad, path.bounces,
                            path.sampler, batch);
             }
@@ -388,6 +442,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
         }
         paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
     }
+    direct.finish();
     return traced + batch.trace(world.tracer, pixels, sum);
 }
 
@@ -397,12 +452,14 @@ std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiC
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
     ShadowBatch batch;
     batch.reserve(receivers.size());
+    DirectBatch direct(world, config, batch);
     const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs);
     for (std::size_t i = 0; i < receivers.size(); ++i) {
         const Receiver& r = receivers[i];
         Sampler sampler = samplers[i];
-        sample_direct(world, config, {.at = r.surface}, r.pixel, sampler, batch);
+        direct.add({.at = r.surface}, r.pixel, sampler);
     }
+    direct.finish();
     return batch.trace(world.tracer, pixels, &PixelSample::direct);
 }
 
@@ -421,7 +478,8 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
     for (auto r = receivers.rbegin(); r != receivers.rend(); ++r) sorted[--ends[set_of(*r)]] = &*r;
     ends.push_back(std::uint32_t(receivers.size()));  // now the beginnings
     const auto of_set = [&](std::uint32_t set) {
-        return std::span<const Receiver* const>(sorted).subspan(ends[set], ends[set + 1] - ends[set]);
+        return std::span<const Receiver* const>(sorted).subspan(ends[set],
+                                                                ends[set + 1] - ends[set]);
     };
 
     ShadowBatch batch;

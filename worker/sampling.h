@@ -155,9 +155,11 @@ public:
     float probability(std::uint32_t index) const {
         return cumulative_[index + 1] - cumulative_[index];
     }
+    /// Sums of the probabilities, from 0 to 1: one more than there are things.
+    std::span<const float> cumulative() const { return cumulative_; }
 
 private:
-    std::vector<float> cumulative_;  ///< from 0 to 1, one more than there are things
+    std::vector<float> cumulative_;
 };
 
 inline Distribution::Distribution(std::span<const float> weights) {
