@@ -42,10 +42,13 @@ void trace_from_eye(const Tracer& tracer, std::span<const Ray> rays, std::span<H
 }
 
 /// Follows eye rays to the first surface that scatters, adds what emits on the way to its pixel and
-/// calls `arrive` with each path, the hit and the surface. Returns the number of rays traced.
+/// the end to `receivers`, and calls `arrive` with each path, the hit and the receiver. Returns the
+/// number of rays traced.
 template <class Arrive>
 std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector<Ray> rays,
-                     std::span<PixelSample> pixels, Arrive arrive) {
+                     std::span<PixelSample> pixels, std::vector<Receiver>& receivers,
+                     Arrive arrive) {
+    TriangleCache cache;
     std::vector<Hit> hits(rays.size());
     trace_from_eye(world.tracer, rays, hits);
     std::uint64_t traced = rays.size();
@@ -57,18 +60,23 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
                     paths[i].throughput * world.lights.sky().radiance(rays[i].dir);
                 continue;
             }
-            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             EyePath path = paths[i];
+            Receiver& receiver = receivers.emplace_back();
+            SurfacePoint& s = receiver.surface;
+            world.surfaces.find(rays[i], hits[i], cache, s);
             path.length += hits[i].t * length(rays[i].dir);
             pixels[path.pixel].emitted += path.throughput * s.emission;
             if (!meets_delta(s.bsdf, path.sampler, path.throughput)) {
-                arrive(path, hits[i], s);
+                receiver.pixel = path.pixel;
+                receiver.throughput = path.throughput;
+                arrive(path, hits[i], receiver);
                 continue;
             }
-            if (!pass_delta(s, Carries::radiance, path.sampler, path.throughput, rays[kept]) ||
-                ++path.mirrors > max_mirrors)
-                continue;
-            paths[kept++] = path;
+            const bool goes_on =
+                pass_delta(s, Carries::radiance, path.sampler, path.throughput, rays[kept]) &&
+                ++path.mirrors <= max_mirrors;
+            receivers.pop_back();
+            if (goes_on) paths[kept++] = path;
         }
         paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
         rays.resize(kept);
@@ -126,8 +134,9 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
             rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
         }
     }
-    return follow(world, std::move(paths), std::move(rays), pixels,
-                  [](const EyePath&, const Hit&, const SurfacePoint&) {});
+    std::vector<Receiver> unused;
+    return follow(world, std::move(paths), std::move(rays), pixels, unused,
+                  [&](const EyePath&, const Hit&, const Receiver&) { unused.clear(); });
 }
 
 }  // namespace
@@ -178,14 +187,14 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
     receivers.clear();
     receivers.reserve(order.size());
     const std::uint64_t traced =
-        follow(world, std::move(paths), std::move(rays), pixels,
-               [&](const EyePath& path, const Hit& hit, const SurfacePoint& s) {
+        follow(world, std::move(paths), std::move(rays), pixels, receivers,
+               [&](const EyePath& path, const Hit& hit, const Receiver& receiver) {
+                   const SurfacePoint& s = receiver.surface;
                    PixelSample& pixel = pixels[path.pixel];
                    pixel.albedo = path.throughput * s.bsdf.reflectance(world.filtered);
                    pixel.normal = s.n;
                    pixel.depth = path.length;
                    pixel.surface = surface_id(world, hit, path.mirrors);
-                   receivers.push_back({path.pixel, s, path.throughput});
                });
     return traced + refine_rims(world, camera, tile, pixels);
 }

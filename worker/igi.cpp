@@ -415,6 +415,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
     ShadowBatch batch;
     batch.reserve(2 * paths.size());
     DirectBatch direct(world, config, batch);
+    TriangleCache cache;
     std::uint64_t traced = 0;
     while (!paths.empty()) {
         aim_all(config, paths, rays);
@@ -430,7 +431,8 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
                 add_sky(world, path, rays[i].dir, pixels[path.pixel].*sum);
                 continue;
             }
-            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
+            SurfacePoint s;
+            world.surfaces.find(rays[i], hits[i], cache, s);
             add_emission(world, config, path, hits[i], s, sum, pixels[path.pixel]);
             if (!advance(path, config, rays[i], hits[i].t, s)) continue;
             if (!s.bsdf.is_delta()) {
