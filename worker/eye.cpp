@@ -160,22 +160,18 @@ bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& car
     return true;
 }
 
-Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
-    return {index, hash(hash(seed, purpose), number(pixel))};
-}
-
 SampleTable TilePass::samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
-                               std::uint32_t pairs, std::uint32_t index) const {
-    std::vector<std::uint32_t> numbers;
-    numbers.reserve(pixels.size());
-    for (const std::uint32_t pixel : pixels) numbers.push_back(number(pixel));
-    return {index, hash(seed, purpose), numbers, pairs};
+                               std::uint32_t pairs, std::uint32_t round) const {
+    std::vector<std::uint32_t> indices;
+    indices.reserve(pixels.size());
+    for (const std::uint32_t pixel : pixels) indices.push_back(number(pixel));
+    return {std::move(indices), hash(seed, purpose), round + 1, pairs};
 }
 
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
     const std::vector<std::uint32_t> order = in_blocks(tile.rect);
-    const SampleTable samplers = tile.samplers(order, 0, 1);
+    const SampleTable samplers = tile.samplers(order, 0, 1, tile.pass);
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
     paths.reserve(order.size());

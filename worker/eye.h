@@ -56,23 +56,24 @@ struct TilePass {
         const auto width = std::uint32_t(rect.width());
         return {rect.x0 + int(pixel % width), rect.y0 + int(pixel / width)};
     }
-    /// Of the pixel in the picture.
+    /// Of the pixel in the picture, along a Morton curve.
     std::uint32_t number(std::uint32_t pixel) const {
         const ivec2 at = raster(pixel);
-        return std::uint32_t(at.y) * std::uint32_t(size.width) + std::uint32_t(at.x);
+        return spread_bits(std::uint32_t(at.x)) | spread_bits(std::uint32_t(at.y)) << 1;
     }
-    /// The sequence of one pixel; its points are indexed by the pass.
+    /// One sequence for the whole picture: any 4^n pixels in a square of the grid get points that
+    /// are well distributed among them (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of
+    /// Monte Carlo Sampling Error via Hierarchical Ordering of Pixels", 2020), and the filter's
+    /// mean is all the better for it. So do the rounds of a pixel.
+    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t round) const {
+        return {number(pixel), hash(seed, purpose), round + 1};
+    }
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const {
         return sampler(pixel, purpose, pass);
     }
-    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
     /// The same for many pixels, with their first points, `pairs` each.
     SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
-                         std::uint32_t pairs) const {
-        return samplers(pixels, purpose, pairs, pass);
-    }
-    SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
-                         std::uint32_t pairs, std::uint32_t index) const;
+                         std::uint32_t pairs, std::uint32_t round) const;
 };
 
 /// Whether a path goes on by ideal reflection or refraction; chosen by chance where `bsdf` scatters

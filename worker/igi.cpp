@@ -455,7 +455,7 @@ std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiC
     ShadowBatch batch;
     batch.reserve(receivers.size());
     DirectBatch direct(world, config, batch);
-    const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs);
+    const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs, tile.pass);
     for (std::size_t i = 0; i < receivers.size(); ++i) {
         const Receiver& r = receivers[i];
         Sampler sampler = samplers[i];

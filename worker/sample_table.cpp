@@ -22,12 +22,6 @@ using Word = hn::Vec<decltype(tag)>;
 
 HWY_INLINE Word splat(std::uint32_t x) { return hn::Set(tag, x); }
 
-HWY_INLINE Word hash_lanes(Word x) {
-    x = (x ^ hn::ShiftRight<16>(x)) * splat(0x7feb352d);
-    x = (x ^ hn::ShiftRight<15>(x)) * splat(0x846ca68b);
-    return x ^ hn::ShiftRight<16>(x);
-}
-
 /// Swaps neighbouring groups of `size` bits, of which `low` holds every other.
 template <int size>
 HWY_INLINE Word swap_bits(Word x, std::uint32_t low) {
@@ -42,9 +36,9 @@ HWY_INLINE Word reverse_lanes(Word x) {
     return swap_bits<16>(x, 0x0000ffff);
 }
 
-HWY_INLINE Word scramble_lanes(Word x, Word seed) {
-    x = (x ^ (x * splat(0x3d20adea))) + seed;
-    x = x * (hn::ShiftRight<16>(seed) | splat(1));
+HWY_INLINE Word scramble_lanes(Word x, std::uint32_t seed) {
+    x = (x ^ (x * splat(0x3d20adea))) + splat(seed);
+    x = x * splat((seed >> 16) | 1);
     x = x ^ (x * splat(0x05526c56));
     return x ^ (x * splat(0x53a22864));
 }
@@ -57,32 +51,29 @@ HWY_INLINE Word sobol_1_lanes(Word x) {
     return x ^ hn::ShiftRight<1>(x & splat(0xaaaaaaaa));
 }
 
-HWY_INLINE auto unit_lanes(Word reversed) {
+HWY_INLINE auto unit_lanes(Word reversed, std::uint32_t shift) {
     constexpr hn::RebindToSigned<decltype(tag)> ints;
     constexpr hn::RebindToFloat<decltype(tag)> floats;
-    const Word bits = hn::ShiftRight<8>(reverse_lanes(reversed));
+    const Word bits = hn::ShiftRight<8>(reverse_lanes(reversed) ^ splat(shift));
     return hn::ConvertTo(floats, hn::BitCast(ints, bits)) * hn::Set(floats, 0x1p-24f);
 }
 
-/// Fills points[i * pairs + pair]; `seed` is hashed already, and `numbers` has room
-/// behind its `count` for a whole vector.
-void make_points(std::uint32_t index, std::uint32_t seed, std::span<const std::uint32_t> numbers,
-                 std::size_t count, std::uint32_t pairs, vec2* points) {
+/// Fills points[i * pairs + pair]; behind its `count` indices there is room for a whole vector.
+void make_points(const std::uint32_t* indices, std::size_t count, std::uint32_t seed,
+                 std::uint32_t round, std::uint32_t pairs, vec2* points) {
+    constexpr hn::RebindToFloat<decltype(tag)> floats;
     const std::size_t lanes = hn::Lanes(tag);
-    const Word reversed_index = splat(reverse_bits(index));
-    for (std::size_t i = 0; i < count; i += lanes) {
-        const Word number = hn::LoadU(tag, &numbers[i]);
-        const Word base = hash_lanes(hash_lanes(splat(seed) + number));
-        for (std::uint32_t pair = 0; pair < pairs; ++pair) {
-            const Word s = hash_lanes(base + splat(pair));
-            const Word shuffled = reverse_lanes(scramble_lanes(reversed_index, s));
-            const Word x = scramble_lanes(shuffled, hash_lanes(s ^ splat(0x68bc21eb)));
-            const Word y =
-                scramble_lanes(sobol_1_lanes(shuffled), hash_lanes(s ^ splat(0x02e5be93)));
+    for (std::uint32_t pair = 0; pair < pairs; ++pair) {
+        const std::uint32_t s = hash(seed, pair);
+        const SobolBits shift = digital_shift(round, s);
+        const std::uint32_t seed_x = hash(s ^ 0x68bc21eb), seed_y = hash(s ^ 0x02e5be93);
+        for (std::size_t i = 0; i < count; i += lanes) {
+            const Word index = hn::LoadU(tag, indices + i);
+            const Word shuffled = reverse_lanes(scramble_lanes(reverse_lanes(index), s));
             HWY_ALIGN float xs[hn::MaxLanes(tag)], ys[hn::MaxLanes(tag)];
-            constexpr hn::RebindToFloat<decltype(tag)> floats;
-            hn::Store(unit_lanes(x), floats, xs);
-            hn::Store(unit_lanes(y), floats, ys);
+            hn::Store(unit_lanes(scramble_lanes(shuffled, seed_x), shift.x), floats, xs);
+            hn::Store(unit_lanes(scramble_lanes(sobol_1_lanes(shuffled), seed_y), shift.y), floats,
+                      ys);
             for (std::size_t lane = 0; lane < std::min(lanes, count - i); ++lane)
                 points[(i + lane) * pairs + pair] = {xs[lane], ys[lane]};
         }
@@ -98,18 +89,17 @@ namespace tessera {
 
 HWY_EXPORT(make_points);
 
-SampleTable::SampleTable(std::uint32_t index, std::uint32_t seed,
-                         std::span<const std::uint32_t> numbers, std::uint32_t pairs)
-    : index_(index),
+SampleTable::SampleTable(std::vector<std::uint32_t> indices, std::uint32_t seed,
+                         std::uint32_t round, std::uint32_t pairs)
+    : indices_(std::move(indices)),
       seed_(seed),
+      round_(round),
       pairs_(pairs),
-      numbers_(numbers.begin(), numbers.end()),
-      points_(numbers.size() * pairs) {
-    // The last vector reads beyond the last number.
+      points_(indices_.size() * pairs) {
     constexpr std::size_t most_lanes = HWY_MAX_BYTES / sizeof(std::uint32_t);
-    numbers_.resize(numbers.size() + most_lanes);
-    HWY_DYNAMIC_DISPATCH(make_points)
-    (index, hash(seed), numbers_, numbers.size(), pairs, points_.data());
+    const std::size_t count = indices_.size();
+    indices_.resize(count + most_lanes);
+    HWY_DYNAMIC_DISPATCH(make_points)(indices_.data(), count, seed, round, pairs, points_.data());
 }
 
 }  // namespace tessera

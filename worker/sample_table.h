@@ -6,22 +6,22 @@
 
 namespace tessera {
 
-/// Samplers of one index that differ in their seeds: Sampler(index, hash(seed, numbers[i])), each
-/// with its first `pairs` points at hand. Outlives the samplers that it hands out.
+/// Samplers of one seed and round that differ in their indices, each with its first `pairs` points
+/// at hand. Outlives the samplers that it hands out.
 class SampleTable {
 public:
-    SampleTable(std::uint32_t index, std::uint32_t seed, std::span<const std::uint32_t> numbers,
+    SampleTable(std::vector<std::uint32_t> indices, std::uint32_t seed, std::uint32_t round,
                 std::uint32_t pairs);
 
     Sampler operator[](std::size_t i) const {
-        return {index_, hash(seed_, numbers_[i]), std::span(points_).subspan(i * pairs_, pairs_)};
+        return {indices_[i], seed_, round_, std::span(points_).subspan(i * pairs_, pairs_)};
     }
 
 private:
-    std::uint32_t index_;
+    std::vector<std::uint32_t> indices_;
     std::uint32_t seed_;
+    std::uint32_t round_;
     std::uint32_t pairs_;
-    std::vector<std::uint32_t> numbers_;
     std::vector<vec2> points_;  ///< of one sampler after the other
 };
 
