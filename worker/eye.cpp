@@ -129,7 +129,7 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
     for (const std::uint32_t pixel : rims) {
         pixels[pixel].emitted *= share;
         for (std::uint32_t k = 0; k < rim_rays; ++k) {
-            const Sampler sampler = tile.sampler(pixel, 4, tile.pass * rim_rays + k);
+            const Sampler sampler = tile.own_sampler(pixel, 4, tile.pass * rim_rays + k);
             paths.push_back({.pixel = pixel, .throughput = vec3(share), .sampler = sampler});
             rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
         }
@@ -171,14 +171,14 @@ SampleTable TilePass::samplers(std::span<const std::uint32_t> pixels, std::uint3
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
     const std::vector<std::uint32_t> order = in_blocks(tile.rect);
-    const SampleTable samplers = tile.samplers(order, 0, 1, tile.pass);
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
     paths.reserve(order.size());
     rays.reserve(order.size());
-    for (std::size_t i = 0; i < order.size(); ++i) {
-        paths.push_back({.pixel = order[i], .sampler = samplers[i]});
-        rays.push_back(camera.ray(vec2(tile.raster(order[i])) + paths.back().sampler.next()));
+    for (const std::uint32_t pixel : order) {
+        // Neighbours tell rims, and so must know nothing of where the pixel's own ray goes.
+        paths.push_back({.pixel = pixel, .sampler = tile.own_sampler(pixel, 0, tile.pass)});
+        rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
     }
     receivers.clear();
     receivers.reserve(order.size());

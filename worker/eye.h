@@ -71,7 +71,11 @@ struct TilePass {
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const {
         return sampler(pixel, purpose, pass);
     }
-    /// The same for many pixels, with their first points, `pairs` each.
+    /// A sequence of the pixel's own, for what must not depend on its neighbours' points.
+    Sampler own_sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
+        return {index, hash(hash(seed, purpose), number(pixel))};
+    }
+    /// The same as sampler() for many pixels, with their first points, `pairs` each.
     SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
                          std::uint32_t pairs, std::uint32_t round) const;
 };
