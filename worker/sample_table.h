@@ -1,5 +1,5 @@
-// The first points of many samplers, made together in SIMD: a third of what a pixel cost went into
-// making them one by one.
+// The first points of many samplers, made together in SIMD: a seventh of what a pixel cost went
+// into making them one by one.
 #pragma once
 
 #include "worker/sampling.h"
