@@ -199,14 +199,12 @@ RenderedFrame render_and_save(const RenderOptions& options, RenderClient& client
                           std::chrono::seconds(options.checkpoint_seconds));
     bool rendering = false;
     try {
-        RenderedFrame frame =
-            render(options, client, bundle, request, &checkpoint, bar, [&](const FrameProgress& p) {
-                rendering = true;
-                view.report(p);
-                checkpoint.tick(client);
-            });
-        checkpoint.remove();
-        return frame;
+        return render(options, client, bundle, request, &checkpoint, bar,
+                      [&](const FrameProgress& p) {
+                          rendering = true;
+                          view.report(p);
+                          checkpoint.tick(client);
+                      });
     } catch (const Interrupted&) {
         if (rendering) {
             checkpoint.save_now(client);
@@ -230,6 +228,7 @@ FrameStatistics render_picture(const RenderOptions& options, const SceneBundle& 
                                              [&](const FrameProgress& p) { view.report(p); })
                                     : render_and_save(options, client, bundle, request, view, bar);
     write_pictures(options, request, frame, output);
+    if (!options.checkpoint.empty()) std::filesystem::remove(options.checkpoint);
     return frame.statistics;
 }
 

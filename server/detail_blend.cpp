@@ -71,6 +71,7 @@ float DetailBlend::share(const Block& block) const {
 }
 
 void DetailBlend::add_to(Image& picture) const {
+    if (runs_ < 2) return;
     std::vector<Block> blocks;
     for (int y = 0; y < blocks_.height; ++y)
         for (int x = 0; x < blocks_.width; ++x) blocks.push_back(block(x, y));

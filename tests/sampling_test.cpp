@@ -4,14 +4,17 @@
 #include "worker/sampling.h"
 
 #include <gtest/gtest.h>
+#include <hwy/targets.h>
 
 #include <array>
 #include <functional>
+#include <memory>
 #include <random>
 
 #include "tests/render_fixture.h"
 #include "worker/bsdf.h"
 #include "worker/lights.h"
+#include "worker/sample_table.h"
 
 namespace tessera {
 namespace {
@@ -167,6 +170,15 @@ TEST(Sampling, BsdfFollowsItsDensity) {
         [&](const vec3& wi) { return pdf(bsdf, n, wo, wi); });
 }
 
+/// Runs `test` on every instruction set that this machine has.
+void on_all_targets(const std::function<void()>& test) {
+    for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
+        hwy::SetSupportedTargetsForTest(target);
+        test();
+    }
+    hwy::SetSupportedTargetsForTest(0);
+}
+
 /// Two lamps of different power over the origin, one of them two-sided and mirrored.
 SceneBundle two_lamps() {
     SceneBundle bundle;
@@ -226,6 +238,42 @@ TEST(Sampling, LightSampleKnowsItsDensityAndRadiance) {
         EXPECT_NEAR(hit.t, s->distance, 1e-4f);
         EXPECT_NEAR(s->pdf, scene.lights.pdf(from, hit, at), 1e-3f * s->pdf);
     }
+}
+
+/// A receiver's one candidate is the lamp that sample() finds, bit for bit.
+TEST(Sampling, LampsAreSampledTogetherAsOneByOne) {
+    const LitScene scene(two_lamps());
+    const LampTable& lamps = scene.lights.lamps();
+    ASSERT_EQ(lamps.lamps.size(), 4u);
+    on_all_targets([&] {
+        RandomPoints random(3);
+        auto requests = std::make_unique<LampRequests>();
+        const std::size_t count = 201;
+        for (std::size_t i = 0; i < count; ++i) {
+            const vec3 n = sample_sphere(random.next_2d());
+            for (int k = 0; k < 3; ++k) {
+                requests->p[k][i] = 3 * random.next() - 1;
+                requests->n[k][i] = requests->ng[k][i] = n[k];
+                requests->throughput[k][i] = 1;
+            }
+            for (auto* u : {&requests->u_choice, &requests->u_place})
+                for (int k = 0; k < 2; ++k) (*u)[k][i] = random.next();
+        }
+        sample_lamps(lamps, {}, count, *requests);
+        for (std::size_t i = 0; i < count; ++i) {
+            const auto at = [&](const LampRequests::Column* c) {
+                return vec3(c[0][i], c[1][i], c[2][i]);
+            };
+            const auto s = scene.lights.sample(at(requests->p), requests->u_choice[0][i],
+                                               {requests->u_place[0][i], requests->u_place[1][i]});
+            const float cosine = s ? dot(at(requests->n), s->wi) : 0;
+            const vec3 e = cosine > 0 ? s->radiance * (cosine / s->pdf) : vec3(0);
+            EXPECT_EQ(at(requests->e), e);
+            if (cosine > 0) {
+                EXPECT_EQ(at(requests->end), s->end);
+            }
+        }
+    });
 }
 
 SceneBundle one_light(LightKind kind) {
@@ -308,6 +356,35 @@ TEST(Sampling, SequenceIsMadeOfNets) {
                 for (const std::uint32_t block : {0u, 1u, 5u})
                     EXPECT_TRUE(is_net(points_of(block * count, count, pair, seed)))
                         << seed << " " << pair << " " << count << " " << block;
+}
+
+/// What makes pixels of a block and passes of a pixel well distributed.
+TEST(Sampling, RoundsOfAPointAreMadeOfNetsAndKeepThoseOfARound) {
+    for (const std::uint32_t seed : {0u, 7u}) {
+        for (const std::uint32_t count : {4u, 16u, 64u, 512u}) {
+            std::vector<vec2> rounds, points;
+            for (std::uint32_t i = 0; i < count; ++i) {
+                rounds.push_back(sobol_point(5, 2, seed, i + 1));
+                points.push_back(sobol_point(3 * count + i, 2, seed, 6));
+            }
+            EXPECT_TRUE(is_net(rounds)) << seed << " " << count;
+            EXPECT_TRUE(is_net(points)) << seed << " " << count;
+        }
+    }
+}
+
+TEST(Sampling, TablesHoldWhatSamplersGive) {
+    on_all_targets([] {
+        for (const std::uint32_t count : {0u, 1u, 37u}) {
+            std::vector<std::uint32_t> indices;
+            for (std::uint32_t i = 0; i < count; ++i) indices.push_back(hash(i) >> (i % 32));
+            const SampleTable table(indices, 11, 4, 3);
+            for (std::uint32_t i = 0; i < count; ++i) {
+                Sampler made = table[i], plain(indices[i], 11, 4);
+                for (int pair = 0; pair < 5; ++pair) EXPECT_EQ(made.next(), plain.next());
+            }
+        }
+    });
 }
 
 /// Squared L2 star discrepancy (Warnock, 1972).

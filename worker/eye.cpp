@@ -42,10 +42,13 @@ void trace_from_eye(const Tracer& tracer, std::span<const Ray> rays, std::span<H
 }
 
 /// Follows eye rays to the first surface that scatters, adds what emits on the way to its pixel and
-/// calls `arrive` with each path, the hit and the surface. Returns the number of rays traced.
+/// the end to `receivers`, and calls `arrive` with each path, the hit and the receiver. Returns the
+/// number of rays traced.
 template <class Arrive>
 std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector<Ray> rays,
-                     std::span<PixelSample> pixels, Arrive arrive) {
+                     std::span<PixelSample> pixels, std::vector<Receiver>& receivers,
+                     Arrive arrive) {
+    TriangleCache cache;
     std::vector<Hit> hits(rays.size());
     trace_from_eye(world.tracer, rays, hits);
     std::uint64_t traced = rays.size();
@@ -57,18 +60,23 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
                     paths[i].throughput * world.lights.sky().radiance(rays[i].dir);
                 continue;
             }
-            const SurfacePoint s = world.surfaces.at(rays[i], hits[i]);
             EyePath path = paths[i];
+            Receiver& receiver = receivers.emplace_back();
+            SurfacePoint& s = receiver.surface;
+            world.surfaces.find(rays[i], hits[i], cache, s);
             path.length += hits[i].t * length(rays[i].dir);
             pixels[path.pixel].emitted += path.throughput * s.emission;
             if (!meets_delta(s.bsdf, path.sampler, path.throughput)) {
-                arrive(path, hits[i], s);
+                receiver.pixel = path.pixel;
+                receiver.throughput = path.throughput;
+                arrive(path, hits[i], receiver);
                 continue;
             }
-            if (!pass_delta(s, Carries::radiance, path.sampler, path.throughput, rays[kept]) ||
-                ++path.mirrors > max_mirrors)
-                continue;
-            paths[kept++] = path;
+            const bool goes_on =
+                pass_delta(s, Carries::radiance, path.sampler, path.throughput, rays[kept]) &&
+                ++path.mirrors <= max_mirrors;
+            receivers.pop_back();
+            if (goes_on) paths[kept++] = path;
         }
         paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
         rays.resize(kept);
@@ -77,6 +85,17 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
         traced += kept;
     }
     return traced;
+}
+
+/// Whether pixels differ enough in what they see of lamps for some to be at a rim.
+bool has_rims(std::span<const PixelSample> pixels) {
+    vec3 lo(1), hi(0);
+    for (const PixelSample& pixel : pixels) {
+        const vec3 seen = glm::clamp(pixel.emitted, 0.0f, 1.0f);
+        lo = glm::min(lo, seen);
+        hi = glm::max(hi, seen);
+    }
+    return max_component(hi - lo) > rim_contrast;
 }
 
 /// Whether the neighbours of a pixel see lamps beside other things. The pixel's own ray has no say:
@@ -100,6 +119,7 @@ bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint
 /// nothing; only what emits is taken from them.
 std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TilePass& tile,
                           std::span<PixelSample> pixels) {
+    if (!has_rims(pixels)) return 0;
     std::vector<std::uint32_t> rims;
     for (std::uint32_t i = 0; i < pixels.size(); ++i)
         if (at_rim(tile, pixels, i)) rims.push_back(i);
@@ -109,13 +129,14 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
     for (const std::uint32_t pixel : rims) {
         pixels[pixel].emitted *= share;
         for (std::uint32_t k = 0; k < rim_rays; ++k) {
-            const Sampler sampler = tile.sampler(pixel, 4, tile.pass * rim_rays + k);
+            const Sampler sampler = tile.own_sampler(pixel, 4, tile.pass * rim_rays + k);
             paths.push_back({.pixel = pixel, .throughput = vec3(share), .sampler = sampler});
             rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
         }
     }
-    return follow(world, std::move(paths), std::move(rays), pixels,
-                  [](const EyePath&, const Hit&, const SurfacePoint&) {});
+    std::vector<Receiver> unused;
+    return follow(world, std::move(paths), std::move(rays), pixels, unused,
+                  [&](const EyePath&, const Hit&, const Receiver&) { unused.clear(); });
 }
 
 }  // namespace
@@ -139,34 +160,38 @@ bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& car
     return true;
 }
 
-Sampler TilePass::sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
-    const ivec2 at = raster(pixel);
-    const std::uint32_t number = std::uint32_t(at.y) * std::uint32_t(size.width) + at.x;
-    return {index, hash(hash(seed, purpose), number)};
+SampleTable TilePass::samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
+                               std::uint32_t pairs, std::uint32_t round) const {
+    std::vector<std::uint32_t> indices;
+    indices.reserve(pixels.size());
+    for (const std::uint32_t pixel : pixels) indices.push_back(number(pixel));
+    return {std::move(indices), hash(seed, purpose), round + 1, pairs};
 }
 
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers) {
+    const std::vector<std::uint32_t> order = in_blocks(tile.rect);
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
-    for (const std::uint32_t pixel : in_blocks(tile.rect)) {
-        paths.push_back({.pixel = pixel, .sampler = tile.sampler(pixel, 0)});
+    paths.reserve(order.size());
+    rays.reserve(order.size());
+    for (const std::uint32_t pixel : order) {
+        // Neighbours tell rims, and so must know nothing of where the pixel's own ray goes.
+        paths.push_back({.pixel = pixel, .sampler = tile.own_sampler(pixel, 0, tile.pass)});
         rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
     }
     receivers.clear();
+    receivers.reserve(order.size());
     const std::uint64_t traced =
-        follow(world, std::move(paths), std::move(rays), pixels,
-               [&](const EyePath& path, const Hit& hit, const SurfacePoint& s) {
+        follow(world, std::move(paths), std::move(rays), pixels, receivers,
+               [&](const EyePath& path, const Hit& hit, const Receiver& receiver) {
+                   const SurfacePoint& s = receiver.surface;
                    PixelSample& pixel = pixels[path.pixel];
                    pixel.albedo = path.throughput * s.bsdf.reflectance(world.filtered);
                    pixel.normal = s.n;
                    pixel.depth = path.length;
                    pixel.surface = surface_id(world, hit, path.mirrors);
-                   receivers.push_back({path.pixel, s, path.throughput});
                });
-    // Blocks and mirrors shuffle the pixels: put them back in order.
-    std::sort(receivers.begin(), receivers.end(),
-              [](const Receiver& a, const Receiver& b) { return a.pixel < b.pixel; });
     return traced + refine_rims(world, camera, tile, pixels);
 }
 

@@ -8,6 +8,7 @@
 #include "common/tile.h"
 #include "worker/camera.h"
 #include "worker/lights.h"
+#include "worker/sample_table.h"
 #include "worker/surface.h"
 #include "worker/tracer.h"
 
@@ -55,11 +56,28 @@ struct TilePass {
         const auto width = std::uint32_t(rect.width());
         return {rect.x0 + int(pixel % width), rect.y0 + int(pixel / width)};
     }
-    /// The sequence of one pixel; its points are indexed by the pass.
+    /// Of the pixel in the picture, along a Morton curve.
+    std::uint32_t number(std::uint32_t pixel) const {
+        const ivec2 at = raster(pixel);
+        return spread_bits(std::uint32_t(at.x)) | spread_bits(std::uint32_t(at.y)) << 1;
+    }
+    /// One sequence for the whole picture: any 4^n pixels in a square of the grid get points that
+    /// are well distributed among them (Ahmed and Wonka, "Screen-Space Blue-Noise Diffusion of
+    /// Monte Carlo Sampling Error via Hierarchical Ordering of Pixels", 2020), and the filter's
+    /// mean is all the better for it. So do the rounds of a pixel.
+    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t round) const {
+        return {number(pixel), hash(seed, purpose), round + 1};
+    }
     Sampler sampler(std::uint32_t pixel, std::uint32_t purpose) const {
         return sampler(pixel, purpose, pass);
     }
-    Sampler sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const;
+    /// A sequence of the pixel's own, for what must not depend on its neighbours' points.
+    Sampler own_sampler(std::uint32_t pixel, std::uint32_t purpose, std::uint32_t index) const {
+        return {index, hash(hash(seed, purpose), number(pixel))};
+    }
+    /// The same as sampler() for many pixels, with their first points, `pairs` each.
+    SampleTable samplers(std::span<const std::uint32_t> pixels, std::uint32_t purpose,
+                         std::uint32_t pairs, std::uint32_t round) const;
 };
 
 /// Whether a path goes on by ideal reflection or refraction; chosen by chance where `bsdf` scatters
@@ -74,7 +92,7 @@ enum class Carries : std::uint8_t { radiance, flux };
 bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray);
 
 /// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the
-/// receivers in the order of their pixels. Returns the number of rays traced.
+/// receivers, those of neighbouring pixels near each other. Returns the number of rays traced.
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers);
 

@@ -37,10 +37,11 @@ struct IgiConfig {
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
 
-/// Adds what gather_indirect() leaves out. A scattered ray per receiver finds surfaces so near that
-/// their geometry term exceeds the bound, adds the excess of their light, and near lamps, and goes
-/// on from there; and it finds what narrow and ideal lobes reflect towards the receiver. One more
-/// follows the receiver's own narrow lobe. Returns the number of rays traced.
+/// Adds what gather_indirect() leaves out. A scattered ray per receiver, or for every other where
+/// no surface has lobes that are not broad, finds surfaces so near that their geometry term exceeds
+/// the bound, adds the excess of their light, and near lamps, and goes on from there; and it finds
+/// what narrow and ideal lobes reflect towards the receiver. One more follows the receiver's own
+/// narrow lobe. Returns the number of rays traced.
 std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiConfig& config,
                           const VplSets& sets, std::span<const Receiver> receivers,
                           std::span<PixelSample> pixels);

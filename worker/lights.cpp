@@ -57,7 +57,24 @@ Lights::Lights(const Surfaces& surfaces, const Box& bounds)
     // All that falls through the surface of the bounding sphere.
     if (!sky_->empty()) powers.push_back(pi * radius_ * radius_ * sky_->mean_irradiance());
     choice_ = Distribution(powers);
-    if (powers.size() > most_chosen_by_power) build_tree(powers);
+    if (powers.size() > most_chosen_by_power)
+        build_tree(powers);
+    else
+        list_lamps();
+}
+
+void Lights::list_lamps() {
+    const bool all_plain = std::none_of(triangles_.begin(), triangles_.end(),
+                                        [](const TriangleLight& l) { return l.textured; });
+    if (empty() || !all_plain || triangles_.size() < size()) return;
+    lamps_.cumulative.push_back(0);
+    for (std::uint32_t i = 0; i < triangles_.size(); ++i) {
+        const TriangleLight& l = triangles_[i];
+        lamps_.lamps.push_back({l.shape.p0, l.shape.p1, l.shape.p2, l.shape.ng, l.off_front,
+                                l.radiance, l.area, l.two_sided ? 1.0f : 0.0f,
+                                choice_.probability(i)});
+        lamps_.cumulative.push_back(choice_.cumulative()[i + 1]);
+    }
 }
 
 bool Lights::is_far(std::uint32_t index) const {

@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "worker/lamp_samples.h"
 #include "worker/light_tree.h"
 #include "worker/sampling.h"
 #include "worker/sky.h"
@@ -44,6 +45,8 @@ public:
         return triangles_.size() + punctual_.size() + (sky_->empty() ? 0 : 1);
     }
     const Sky& sky() const { return *sky_; }
+    /// The lights as lamps, if that is all they are and sample() chooses them by power; else empty.
+    const LampTable& lamps() const { return lamps_; }
     /// Whether lights are chosen by what they can send to the receiver.
     bool has_tree() const { return !tree_.empty(); }
 
@@ -70,6 +73,7 @@ private:
         vec3 radiance{0};  ///< mean of the emitting side
     };
 
+    void list_lamps();
     void build_tree(std::span<const float> powers);
     bool is_far(std::uint32_t index) const;
     std::optional<Distribution::Choice> choose(const vec3& p, float u) const;
@@ -99,6 +103,7 @@ private:
     Distribution choice_;  ///< by power, over triangles_, then punctual_, then the sky
     LightTree tree_;       ///< over the same; those that are everywhere have no power there
     Distribution far_;     ///< over the same; only those that are everywhere
+    LampTable lamps_;
 };
 
 /// The shadow ray from `s` to a light sampled from there.

@@ -216,7 +216,10 @@ public:
         Mask within = beyond(tmin_) > doubt(tmin_);
         // What has no end all hits lie before.
         if (t_last < infinity) within = hn::And(within, beyond(t_last) < hn::Neg(doubt(t_last)));
-        return {all_lanes & ~bits(hn::Or(beside, outside)), bits(hn::And(inside, within))};
+        // A ray that leaves a surface lies between the vertices of triangles beside its origin.
+        Mask never = hn::Or(outside, beyond(tmin_) < hn::Neg(doubt(tmin_)));
+        if (t_last < infinity) never = hn::Or(never, beyond(t_last) > doubt(t_last));
+        return {all_lanes & ~bits(hn::Or(beside, never)), bits(hn::And(inside, within))};
     }
 
 private:

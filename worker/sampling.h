@@ -42,6 +42,15 @@ inline std::uint32_t reverse_bits(std::uint32_t x) {
     return __builtin_bswap32(x);
 }
 
+/// The lower 16 bits of a number at the even places of another.
+inline std::uint32_t spread_bits(std::uint32_t x) {
+    x &= 0xffff;
+    x = (x | x << 8) & 0x00ff00ff;
+    x = (x | x << 4) & 0x0f0f0f0f;
+    x = (x | x << 2) & 0x33333333;
+    return (x | x << 1) & 0x55555555;
+}
+
 /// Owen's nested uniform scrambling of a number whose bits are reversed: each bit is flipped by a
 /// hash of the bits below it (Laine and Karras 2011; constants by Vegdahl).
 inline std::uint32_t scramble_reversed(std::uint32_t x, std::uint32_t seed) {
@@ -63,24 +72,51 @@ inline std::uint32_t sobol_1_reversed(std::uint32_t index) {
     return index;
 }
 
-/// Point `index` of dimension pair `pair` of the sequence `seed`.
-inline vec2 sobol_point(std::uint32_t index, std::uint32_t pair, std::uint32_t seed) {
-    const std::uint32_t s = hash(seed, pair);
+/// A point as the bits of its two numbers.
+struct SobolBits {
+    std::uint32_t x = 0, y = 0;
+};
+
+/// Point `index` of the dimension pair that the seed `s` stands for.
+inline SobolBits sobol_bits(std::uint32_t index, std::uint32_t s) {
     const std::uint32_t shuffled = reverse_bits(scramble_reversed(reverse_bits(index), s));
     const std::uint32_t x = scramble_reversed(shuffled, hash(s ^ 0x68bc21eb));
     const std::uint32_t y = scramble_reversed(sobol_1_reversed(shuffled), hash(s ^ 0x02e5be93));
-    return {unit_float(reverse_bits(x)), unit_float(reverse_bits(y))};
+    return {reverse_bits(x), reverse_bits(y)};
+}
+
+/// What round `round` flips in the points of a dimension pair, a point itself: nothing in round 0.
+inline SobolBits digital_shift(std::uint32_t round, std::uint32_t s) {
+    return round == 0 ? SobolBits{} : sobol_bits(round - 1, hash(s ^ 0x967a889b));
+}
+
+/// Point `index` of dimension pair `pair` of the sequence `seed`, shifted by `round`. Rounds of one
+/// point are as well distributed as points of one round.
+inline vec2 sobol_point(std::uint32_t index, std::uint32_t pair, std::uint32_t seed,
+                        std::uint32_t round = 0) {
+    const std::uint32_t s = hash(seed, pair);
+    const SobolBits point = sobol_bits(index, s), shift = digital_shift(round, s);
+    return {unit_float(point.x ^ shift.x), unit_float(point.y ^ shift.y)};
 }
 
 /// Deals out the dimensions of one point of a sequence, two at a time.
 class Sampler {
 public:
-    Sampler(std::uint32_t index, std::uint32_t seed) : index_(index), seed_(seed) {}
-    vec2 next() { return sobol_point(index_, pair_++, seed_); }
+    /// `made`: its first points, where somebody has made them already (worker/sample_table.h).
+    Sampler(std::uint32_t index, std::uint32_t seed, std::uint32_t round = 0,
+            std::span<const vec2> made = {})
+        : made_(made), index_(index), seed_(seed), round_(round) {}
+
+    vec2 next() {
+        const std::uint32_t pair = pair_++;
+        return pair < made_.size() ? made_[pair] : sobol_point(index_, pair, seed_, round_);
+    }
 
 private:
+    std::span<const vec2> made_;
     std::uint32_t index_;
     std::uint32_t seed_;
+    std::uint32_t round_;
     std::uint32_t pair_ = 0;
 };
 
@@ -148,9 +184,11 @@ public:
     float probability(std::uint32_t index) const {
         return cumulative_[index + 1] - cumulative_[index];
     }
+    /// Sums of the probabilities, from 0 to 1: one more than there are things.
+    std::span<const float> cumulative() const { return cumulative_; }
 
 private:
-    std::vector<float> cumulative_;  ///< from 0 to 1, one more than there are things
+    std::vector<float> cumulative_;
 };
 
 inline Distribution::Distribution(std::span<const float> weights) {

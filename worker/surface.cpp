@@ -295,6 +295,30 @@ vec3 Surfaces::bumped(const Material& m, const WorldTriangle& t, const Mesh& mes
 }
 
 SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
+    const WorldTriangle t = triangle(hit.instance, hit.triangle);
+    SurfacePoint s;
+    find(ray, hit, t, t.off_front(), s);
+    return s;
+}
+
+void Surfaces::find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s) const {
+    const TriangleCache::Entry& entry = cached(hit, cache);
+    find(ray, hit, entry.shape, entry.off_front, s);
+}
+
+const TriangleCache::Entry& Surfaces::cached(const Hit& hit, TriangleCache& cache) const {
+    const std::size_t place = (hit.triangle + 7 * hit.instance) % cache.entries.size();
+    TriangleCache::Entry& entry = cache.entries[place];
+    if (entry.instance != hit.instance || entry.triangle != hit.triangle) {
+        const WorldTriangle t = triangle(hit.instance, hit.triangle);
+        entry = {hit.instance, hit.triangle, t, t.off_front()};
+    }
+    return entry;
+}
+
+/// `t` is what the ray hit; `s` is as made.
+void Surfaces::find(const Ray& ray, const Hit& hit, const WorldTriangle& t, const vec3& off_front,
+                    SurfacePoint& s) const {
     const Mesh& mesh = mesh_of(hit.instance);
     const uvec3 corners = mesh.triangles[hit.triangle];
     const Material& m = material(hit.instance, hit.triangle);
@@ -303,13 +327,11 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
 
     // Barycentric weights keep the point on the triangle; org + t * dir would lose digits with
     // distance.
-    const WorldTriangle t = triangle(hit.instance, hit.triangle);
-    SurfacePoint s;
     s.p = t.point(b);
     s.wo = -normalize(ray.dir);
     const bool front = dot(t.ng, s.wo) > 0;
     s.ng = front ? t.ng : -t.ng;
-    s.org = front ? s.p + t.off_front() : s.p - t.off_front();
+    s.org = front ? s.p + off_front : s.p - off_front;
 
     // Shade with the interpolated normal where it faces the viewer as the triangle does.
     s.n = s.ng;
@@ -327,7 +349,6 @@ SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     s.bsdf = is_lambert(m) ? lambert_bsdf(m.base_color * vec3(color(m.base_color_map, uv)))
                            : make_bsdf(look(m, uv), dot(s.n, s.wo), front);
     if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
-    return s;
 }
 
 }  // namespace tessera

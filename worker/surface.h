@@ -1,6 +1,7 @@
 // The scene decoded for rendering: meshes, textures and transforms in memory, and what a hit means.
 #pragma once
 
+#include <array>
 #include <map>
 #include <memory>
 #include <vector>
@@ -40,6 +41,18 @@ struct WorldTriangle {
     vec3 off_front() const;
 };
 
+/// Triangles that rays met lately: neighbours meet the same. Never changes an answer. Keep one for
+/// each thread, and one Surfaces to it.
+struct TriangleCache {
+    struct Entry {
+        std::uint32_t instance = no_instance;
+        std::uint32_t triangle = 0;
+        WorldTriangle shape;
+        vec3 off_front{0};
+    };
+    std::array<Entry, 64> entries;
+};
+
 /// Meshes, textures and materials of a scene, decoded. Immutable: any number of threads may ask.
 class Surfaces {
 public:
@@ -56,6 +69,8 @@ public:
 
     /// The point that a valid `hit` of `ray` found.
     SurfacePoint at(const Ray& ray, const Hit& hit) const;
+    /// The same for many rays, in `s`.
+    void find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s) const;
 
     std::uint32_t instance_count() const { return std::uint32_t(scene_.instances.size()); }
     std::uint32_t object_of(std::uint32_t instance) const {
@@ -100,6 +115,9 @@ private:
     void place_objects(const BlobStore& blobs, const Surfaces* before);
     std::shared_ptr<const Sky> make_sky(const Surfaces* before) const;
     const Mesh& mesh_of(std::uint32_t instance) const;
+    const TriangleCache::Entry& cached(const Hit& hit, TriangleCache& cache) const;
+    void find(const Ray& ray, const Hit& hit, const WorldTriangle& t, const vec3& off_front,
+              SurfacePoint& s) const;
     vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
     vec4 color(const TextureMap& map, const vec2& uv) const;
     float coverage(const Material& material, const vec2& uv) const;
