@@ -9,6 +9,7 @@
 #include <functional>
 #include <sstream>
 
+#include "client/fault_proxy.h"
 #include "client/load_viewer.h"
 #include "client/progress_bar.h"
 #include "client/synthetic_worker.h"
@@ -48,6 +49,7 @@ public:
     ClusterBenchRow measure();
 
 private:
+    std::string route(const std::string& server);
     void render_expected();
     void inject(const std::string& kind, std::vector<int>& victims);
     std::vector<LoadFrame> all_frames() const;
@@ -59,6 +61,8 @@ private:
     const ClusterBenchConfig& config_;
     const SceneBundle& bundle_;
     Interrupt& interrupt_;
+    std::vector<std::unique_ptr<FaultProxy>>
+        proxies_;  ///< one for each real worker, where asked for
     LocalCluster processes_;
     std::vector<pid_t> real_workers_;
     std::optional<SyntheticWorkers> synthetic_;
@@ -74,9 +78,10 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
       processes_({.workers = config.synthetic ? 0 : config.workers,
                   .threads = config.threads,
                   .log_level = "error",
+                  .route = [this](int, const std::string& server) { return route(server); },
                   .programs = {}}),
       real_workers_(processes_.workers()) {
-    client_ = {.address = processes_.address(),
+    client_ = {.address = config.link ? route(processes_.address()) : processes_.address(),
                .credentials = processes_.credentials(),
                .tick = [this] { interrupt_.check(); }};
     if (config.synthetic)
@@ -94,6 +99,15 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
         script_->views.push_back(request);
     }
     render_expected();
+}
+
+/// The address by which to reach the server over a link of its own.
+std::string Load::route(const std::string& server) {
+    if (!config_.link && config_.cuts.empty()) return server;
+    LinkConfig link = config_.link.value_or(LinkConfig{});
+    link.seed += 1000 * std::uint32_t(proxies_.size());
+    proxies_.push_back(std::make_unique<FaultProxy>(parse_address(server), link));
+    return proxies_.back()->address();
 }
 
 /// Renders every view undisturbed, once all workers take part.
@@ -136,6 +150,7 @@ ClusterBenchRow Load::measure() {
     std::vector<std::pair<double, std::string>> faults;
     for (const double at : config_.kills) faults.emplace_back(at, "kill");
     for (const double at : config_.hangs) faults.emplace_back(at, "hang");
+    for (const double at : config_.cuts) faults.emplace_back(at, "cut");
     std::sort(faults.begin(), faults.end());
     std::vector<int> victims;
     std::vector<Clock::time_point> fault_times;
@@ -164,10 +179,12 @@ ClusterBenchRow Load::measure() {
     if (failure) std::rethrow_exception(failure);
 
     // Sum up.
-    row.seconds = elapsed();
+    const double cpu_used = cpu_seconds(processes_.server()) - cpu_before;
     const std::vector<LoadFrame> frames = all_frames();
+    for (const LoadFrame& frame : frames)
+        row.seconds = std::max(row.seconds, seconds_between(start, frame.done));
     const double tiles = std::max(1.0, double(frames.size()) * tasks_per_frame());
-    row.server_cpu_s_per_tile = (cpu_seconds(processes_.server()) - cpu_before) / tiles;
+    row.server_cpu_s_per_tile = cpu_used / tiles;
     summarise(row, frames);
     if (synthetic_) {
         const SyntheticTraffic traffic = synthetic_->traffic();
@@ -192,6 +209,8 @@ void Load::inject(const std::string& kind, std::vector<int>& victims) {
     const bool kills = kind == "kill";
     if (synthetic_)
         kills ? synthetic_->kill(victim) : synthetic_->hang(victim);
+    else if (kind == "cut")
+        proxies_[std::size_t(victim)]->cut();
     else
         ::kill(real_workers_[std::size_t(victim)], kills ? SIGKILL : SIGSTOP);
 }
@@ -221,12 +240,20 @@ void Load::summarise(ClusterBenchRow& row, const std::vector<LoadFrame>& frames)
     row.frames = frames.size();
     row.first = percentiles(first);
     row.final = percentiles(final);
-    row.frames_per_s = double(frames.size()) / row.seconds;
+    if (!frames.empty()) row.frames_per_s = double(frames.size()) / row.seconds;
     row.tiles_per_s = row.frames_per_s * tasks_per_frame();
     if (config_.synthetic && config_.tile_seconds > 0)
         row.ideal_tiles_per_s = config_.workers * config_.threads / config_.tile_seconds;
     std::uint64_t received = 0;
-    for (const auto& viewer : viewers_) received += viewer->bytes_received();
+    std::vector<double> shares;
+    for (const auto& viewer : viewers_) {
+        received += viewer->bytes_received();
+        shares.push_back(double(viewer->frames().size() * viewers_.size()) /
+                         std::max(1.0, double(frames.size())));
+    }
+    const auto [least, most] = std::ranges::minmax(shares);
+    row.least_share = least;
+    row.most_share = most;
     row.bytes_to_viewer = double(received) / std::max(1.0, double(frames.size()));
     const std::uint32_t per_task = passes_per_task(config_.spec.settings);
     row.bytes_from_workers = double(config_.spec.size.pixels()) * sizeof(float) *

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "client/interrupt.h"
+#include "client/link_model.h"
 #include "client/local_cluster.h"
 #include "common/scene.h"
 #include "common/tile.h"
@@ -22,10 +23,12 @@ struct ClusterBenchConfig {
     int viewers = 1;
     unsigned in_flight = 1;  ///< frames that a viewer has asked for at a time
     double seconds = 5;
-    std::vector<double> kills;  ///< seconds after which a worker is killed
-    std::vector<double> hangs;  ///< and after which one hangs
-    FrameSpec spec;             ///< scene, size and settings
-    std::vector<Camera> path;   ///< views in turn
+    std::vector<double> kills;       ///< seconds after which a worker is killed
+    std::vector<double> hangs;       ///< and after which one hangs
+    std::vector<double> cuts;        ///< and after which the network loses one
+    std::optional<LinkConfig> link;  ///< between the server and everybody else; none: loopback's
+    FrameSpec spec;                  ///< scene, size and settings
+    std::vector<Camera> path;        ///< views in turn
 };
 
 struct Percentiles {
@@ -34,7 +37,7 @@ struct Percentiles {
 Percentiles percentiles(std::vector<double> values);
 
 struct FaultReport {
-    std::string kind;  ///< kill or hang
+    std::string kind;  ///< kill, hang or cut
     double at = 0;     ///< seconds
     /// By how much the slowest frame that was on its way took longer than frames did before.
     double recovery = 0;
@@ -42,10 +45,12 @@ struct FaultReport {
 
 struct ClusterBenchRow {
     ClusterBenchConfig config;
-    double seconds = 0;
+    double seconds = 0;  ///< until the last frame was done
     std::uint64_t frames = 0;
     double frames_per_s = 0;
     double tiles_per_s = 0;
+    /// Frames of the viewer that got fewest, and of the one that got most, against the mean.
+    double least_share = 1, most_share = 1;
     std::optional<double> ideal_tiles_per_s;  ///< of synthetic workers that never wait
     Percentiles first, final;
     double server_cpu_s_per_tile = 0;

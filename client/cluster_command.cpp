@@ -9,6 +9,7 @@
 #include "client/camera_options.h"
 #include "client/cluster_bench.h"
 #include "client/commands.h"
+#include "client/plot.h"
 #include "common/check.h"
 #include "common/scene_bounds.h"
 #include "common/scene_io.h"
@@ -23,10 +24,12 @@ struct ClusterOptions {
     std::vector<int> workers{1, 2};
     std::vector<int> viewers{1};
     double tile_ms = 0;
+    double delay_ms = 0, jitter_ms = 0, mbit = 0;
+    LinkConfig link;  ///< what of it is not in these
     std::optional<Integrator> integrator;
     std::optional<std::uint32_t> passes;
     int views = 4;
-    std::string json, csv;
+    std::string json, csv, svg;
     bool simulate = false;
 };
 
@@ -69,6 +72,9 @@ void print_row(const ClusterBenchRow& row, std::optional<double> efficiency) {
                efficiency ? fmt::format("{:.3f}", *efficiency) : "-", times(row.first),
                times(row.final), 1e6 * row.server_cpu_s_per_tile,
                1e-6 * (row.bytes_from_workers + row.bytes_to_viewer), row.wrong_pixels);
+    if (row.config.viewers > 1)
+        fmt::print("        frames of each viewer: {:.2f} to {:.2f} of the mean\n", row.least_share,
+                   row.most_share);
     for (const FaultReport& fault : row.faults)
         fmt::print("        {} after {:.2f} s: that frame {:.1f} ms later\n", fault.kind, fault.at,
                    1e3 * fault.recovery);
@@ -88,6 +94,7 @@ nlohmann::json json_of(const ClusterBenchRow& row, std::optional<double> efficie
                            {"synthetic", row.config.synthetic},
                            {"tile_seconds", row.config.tile_seconds},
                            {"viewers", row.config.viewers},
+                           {"viewer_shares", {row.least_share, row.most_share}},
                            {"in_flight", row.config.in_flight},
                            {"width", row.config.spec.size.width},
                            {"height", row.config.spec.size.height},
@@ -141,9 +148,40 @@ std::string csv_of(const nlohmann::json& rows) {
     return text + '\n';
 }
 
+/// Tiles a second against workers, a series for each number of viewers.
+std::string plot(const std::string& title, const std::vector<ClusterBenchRow>& rows) {
+    std::map<int, PlotSeries> series;
+    for (const ClusterBenchRow& row : rows) {
+        PlotSeries& s = series[row.config.viewers];
+        s.name = fmt::format("{} viewer(s)", row.config.viewers);
+        s.points.push_back(
+            {double(row.config.workers), row.tiles_per_s,
+             fmt::format("{} workers: {:.0f} tiles/s", row.config.workers, row.tiles_per_s)});
+    }
+    PlotSeries ideal{.name = "as many times the first", .line = true, .points = {}};
+    for (const ClusterBenchRow& row : rows)
+        ideal.points.push_back(
+            {double(row.config.workers),
+             rows.front().tiles_per_s * row.config.workers / rows.front().config.workers,
+             {}});
+    std::vector<PlotSeries> all{ideal};
+    for (auto& [viewers, s] : series) all.push_back(std::move(s));
+    return log_log_plot(title, std::move(all));
+}
+
+LinkConfig link_of(const ClusterOptions& options) {
+    LinkConfig link = options.link;
+    link.delay = 1e-3 * options.delay_ms;
+    link.jitter = 1e-3 * options.jitter_ms;
+    link.bits_per_second = 1e6 * options.mbit;
+    return link;
+}
+
 ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& bundle) {
     ClusterBenchConfig config = options.config;
     config.tile_seconds = 1e-3 * options.tile_ms;
+    const LinkConfig link = link_of(options);
+    if (link != LinkConfig{.seed = link.seed}) config.link = link;
     config.spec.scene = options.scene;
     config.spec.size = options.camera.size;
     // Synthetic workers send what is least to send: finished pixels.
@@ -161,24 +199,25 @@ void run(const ClusterOptions& options) {
     const SceneBundle bundle = load_scene(options.scene).bundle;
     ClusterBenchConfig config = config_of(options, bundle);
     print_header(options, config.spec);
-    nlohmann::json rows = nlohmann::json::array();
-    std::optional<ClusterBenchRow> first;
+    std::vector<ClusterBenchRow> rows;
+    nlohmann::json json = nlohmann::json::array();
     bool right = true, interrupted = false;
     for (const int viewers : options.viewers)
         for (const int workers : options.workers) {
             if (interrupted) break;
             config.workers = workers;
             config.viewers = viewers;
-            const ClusterBenchRow row = bench_cluster(config, bundle, interrupt);
-            if (!first) first = row;
-            print_row(row, efficiency(row, *first));
-            rows.push_back(json_of(row, efficiency(row, *first)));
+            const ClusterBenchRow& row =
+                rows.emplace_back(bench_cluster(config, bundle, interrupt));
+            print_row(row, efficiency(row, rows.front()));
+            json.push_back(json_of(row, efficiency(row, rows.front())));
             right = right && row.wrong_pixels == 0;
             interrupted = row.interrupted;
         }
-    write(options.csv, csv_of(rows));
+    write(options.csv, csv_of(json));
     write(options.json,
-          nlohmann::json{{"version", TESSERA_VERSION}, {"results", rows}}.dump(2) + '\n');
+          nlohmann::json{{"version", TESSERA_VERSION}, {"results", json}}.dump(2) + '\n');
+    write(options.svg, plot(options.scene + ": tiles a second against workers", rows));
     if (!right) throw UserError("pixels differ from those of an undisturbed frame");
 }
 
@@ -228,6 +267,22 @@ void add_cluster_command(CLI::App* bench) {
     command->add_option("--hang", o.config.hangs, "seconds after which a worker hangs (SIGSTOP)")
         ->delimiter(',');
     command
+        ->add_option("--cut", o.config.cuts,
+                     "seconds after which the network loses a worker, and nobody is told")
+        ->delimiter(',');
+    command
+        ->add_option("--delay-ms", o.delay_ms,
+                     "network between the server and the others: delay of each direction")
+        ->check(CLI::Range(0.0, 1e4));
+    command->add_option("--jitter-ms", o.jitter_ms, "at most as much more, drawn anew and anew")
+        ->check(CLI::Range(0.0, 1e4));
+    command->add_option("--mbit", o.mbit, "bandwidth of each link, million bits a second")
+        ->check(CLI::PositiveNumber);
+    command
+        ->add_option("--loss", o.link.loss, "share of packets lost, each sent again after 200 ms")
+        ->check(CLI::Range(0.0, 0.5));
+    command->add_option("--seed", o.link.seed, "of jitter and loss")->capture_default_str();
+    command
         ->add_option("--integrator", o.integrator,
                      "igi (default of real workers) or path (of synthetic ones)")
         ->transform(CLI::CheckedTransformer(std::map<std::string, Integrator>{
@@ -239,6 +294,7 @@ void add_cluster_command(CLI::App* bench) {
         ->capture_default_str();
     command->add_option("--json", o.json, "write the results to this file");
     command->add_option("--csv", o.csv, "and to this one");
+    command->add_option("--svg", o.svg, "plot tiles a second against workers to this file");
     add_camera_options(command, o.camera);
     command->add_flag("--simulate", o.simulate, "simulate instead; also: --quick, --schedules N");
     command->allow_extras();

@@ -94,10 +94,10 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
     const std::string own_pid = std::to_string(getpid());
     int out[2];
     if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
-    children_.push_back({.pid = spawn("tessera-server",
-                                      {"--listen", "127.0.0.1:0", "--log", config.log_level,
-                                       "--exit-with-parent", own_pid},
-                                      out[1]),
+    std::vector<std::string> arguments{"--listen",       "127.0.0.1:0",        "--log",
+                                       config.log_level, "--exit-with-parent", own_pid};
+    if (!config.trace.empty()) arguments.insert(arguments.end(), {"--trace", config.trace});
+    children_.push_back({.pid = spawn("tessera-server", arguments, out[1]),
                          .name = "server",
                          .server = true,
                          .ended = {}});
@@ -115,11 +115,11 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
     const int threads = config.threads > 0 ? config.threads : std::max(1, cores / config.workers);
     for (int i = 0; i < config.workers; ++i) {
         const std::string name = fmt::format("worker-{}", i + 1);
-        const pid_t pid =
-            spawn("tessera-worker",
-                  {"--server", address_, "--threads", std::to_string(threads), "--name", name,
-                   "--log", config.log_level, "--exit-with-parent", own_pid},
-                  STDERR_FILENO);
+        const std::string server = config.route ? config.route(i, address_) : address_;
+        const pid_t pid = spawn("tessera-worker",
+                                {"--server", server, "--threads", std::to_string(threads), "--name",
+                                 name, "--log", config.log_level, "--exit-with-parent", own_pid},
+                                STDERR_FILENO);
         children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
     }
 }

@@ -6,6 +6,7 @@
 #include <sys/types.h>
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -18,6 +19,9 @@ struct LocalClusterConfig {
     int workers = 1;
     int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
     std::string log_level = "warning";
+    std::string trace = {};  ///< file for the timeline of the last frame; empty: none
+    /// Where worker i, from 0, is to find the server at the given address; empty: there.
+    std::function<std::string(int, const std::string&)> route = {};
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };

@@ -265,6 +265,11 @@ void add_cluster_options(CLI::App* command, RenderOptions& o) {
                      "render threads per embedded worker (default: all cores, shared out)")
         ->check(CLI::Range(1, 1024))
         ->excludes(server);
+    command
+        ->add_option(
+            "--trace", o.cluster.trace,
+            "who rendered which tile when, as a JSON file for chrome://tracing or Perfetto")
+        ->excludes(server);
 }
 
 }  // namespace

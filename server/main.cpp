@@ -77,6 +77,10 @@ int main(int argc, char** argv) {
            "--metrics", options.config.metrics,
            "address at which Prometheus finds metrics; anybody who reaches it can read them")
         ->type_name("HOST:PORT");
+    app.add_option("--trace", options.config.trace,
+                   "file for the timeline of the frame that finished last, for chrome://tracing or "
+                   "Perfetto")
+        ->type_name("FILE");
     app.add_option("--log", options.log_level, "how much to log")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();

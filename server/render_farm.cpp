@@ -4,10 +4,12 @@
 
 #include <algorithm>
 #include <atomic>
+#include <fstream>
 #include <utility>
 
 #include "common/check.h"
 #include "common/log.h"
+#include "server/frame_trace.h"
 
 namespace tessera {
 namespace {
@@ -20,6 +22,10 @@ constexpr auto report_interval = std::chrono::milliseconds(100);
 constexpr std::uint32_t least_runs_for_error = 4;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
+
+Clock::duration duration_of(double seconds) {
+    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
+}
 
 double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
@@ -42,6 +48,8 @@ struct RenderFarm::Job {
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
     std::map<std::uint64_t, WorkerShare> shares;
+    Clock::time_point fold_began;
+    std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
 
     Job(const asio::any_io_executor& strand, const FrameRequest& r, const ReadyScene& s,
         FrameObserver o)
@@ -55,8 +63,13 @@ struct RenderFarm::Job {
     std::uint64_t frame() const { return request.spec.frame; }
 };
 
-RenderFarm::RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads)
-    : strand_(strand), deadline_timer_(strand), fold_threads_(fold_threads), pool_(fold_threads) {}
+RenderFarm::RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads,
+                       std::filesystem::path trace)
+    : strand_(strand),
+      deadline_timer_(strand),
+      fold_threads_(fold_threads),
+      trace_(std::move(trace)),
+      pool_(fold_threads) {}
 
 RenderFarm::~RenderFarm() {
     pool_.stop();
@@ -149,8 +162,14 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
     if (!job.assembler.fits(result))
         throw ProtocolError(
             fmt::format("answers with a tile that is none of frame {}", result.task.frame));
-    if (scheduler_.completed(worker.id(), result.task, Clock::now(), result.seconds) ==
-        Answer::first) {
+    const auto now = Clock::now();
+    const Answer answer = scheduler_.completed(worker.id(), result.task, now, result.seconds);
+    if (job.trace)
+        job.trace->add(worker.name(), worker.threads(),
+                       fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
+                                   answer == Answer::first ? "" : ", not needed"),
+                       duration_of(result.seconds), now);
+    if (answer == Answer::first) {
         CHECK(job.assembler.add(result) == Arrival::stored);
         ++worker.tiles;
         worker.rays += result.rays;
@@ -221,7 +240,10 @@ void RenderFarm::pump() {
     const auto now = Clock::now();
     for (const auto& [worker, task] : scheduler_.assign(now)) {
         Job& job = *jobs_.at(task.frame);
-        if (!job.started) job.started = now;
+        if (!job.started) {
+            job.started = now;
+            if (!trace_.empty()) job.trace.emplace(now);
+        }
         WorkerSession& session = *workers_.at(worker);
         if (const auto [share, first] = job.shares.try_emplace(worker); first) {
             share->second.name = session.name();
@@ -311,6 +333,7 @@ void RenderFarm::fold_next(Job& job) {
     const int height = job.request.spec.size.height;
     const int bands = std::clamp(height / least_band_rows, 1, int(fold_threads_));
     const auto left = std::make_shared<std::atomic<int>>(bands);
+    job.fold_began = Clock::now();
     for (int band = 0; band < bands; ++band)
         asio::post(pool_, [this, run, left, sums = job.sums, frame = job.frame(),
                            y0 = height * band / bands, y1 = height * (band + 1) / bands] {
@@ -324,6 +347,9 @@ void RenderFarm::run_folded(std::uint64_t frame, RunBuffer run) {
     const auto found = jobs_.find(frame);
     if (found == jobs_.end()) return;
     Job& job = *found->second;
+    if (job.trace)
+        job.trace->add("server", 1, fmt::format("fold of run {}", run.run),
+                       Clock::now() - job.fold_began, Clock::now());
     job.sums->finish_run(run);
     job.error_estimate = job.sums->error_estimate();
     const auto look = job.observer.look ? job.observer.look(statistics(job))
@@ -363,11 +389,20 @@ void RenderFarm::stop_at_limits(Job& job) {
 
 void RenderFarm::finish_if_complete(Job& job) {
     if (!job.assembler.finished()) return;
+    if (job.trace) write_trace(job);
     FinishedFrame finished{job.request, job.sums, statistics(job)};
     const FrameObserver observer = std::move(job.observer);
     end_job(job.frame());
     ++frames_done_;
     observer.done(std::move(finished));
+}
+
+/// At once, so that the file is there when the viewer hears that the frame is done: who asks for
+/// traces accepts the pause.
+void RenderFarm::write_trace(const Job& job) {
+    std::ofstream out(trace_);
+    out << job.trace->json();
+    if (!out.flush()) spdlog::warn("cannot write {}", trace_.string());
 }
 
 void RenderFarm::end_job(std::uint64_t frame) {

@@ -3,6 +3,7 @@
 // the strand, for a small pool of threads.
 #pragma once
 
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
@@ -36,8 +37,10 @@ struct FrameObserver {
 
 class RenderFarm {
 public:
-    /// Everything happens on `strand`; folding on `fold_threads` threads of its own.
-    RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads);
+    /// Everything happens on `strand`; folding on `fold_threads` threads of its own. `trace`: file
+    /// for the timeline of the frame that finished last; empty: none.
+    RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads,
+               std::filesystem::path trace = {});
     ~RenderFarm();
 
     /// Workers get this scene as soon as they join.
@@ -92,6 +95,7 @@ private:
 
     void fold_next(Job& job);
     void run_folded(std::uint64_t frame, RunBuffer run);
+    void write_trace(const Job& job);
     void run_seen(std::uint64_t frame, RunBuffer run);
     void stop_at_limits(Job& job);
     void finish_if_complete(Job& job);
@@ -112,6 +116,7 @@ private:
     bool pump_is_due_ = false;
     asio::steady_timer deadline_timer_;
     unsigned fold_threads_;
+    std::filesystem::path trace_;
     asio::thread_pool pool_;
 };
 

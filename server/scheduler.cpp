@@ -227,6 +227,7 @@ void Scheduler::lease(Slot worker, Frame& frame, const TileTask& name, TimePoint
              .issued = now};
     ++w.leases;
     w.work_held += cost;
+    frame.work_held += cost;
 
     // Append it to those of the task.
     Task& task = open_task(frame, lease.run, name.tile);
@@ -249,6 +250,7 @@ void Scheduler::end_lease(Frame& frame, Task& task, std::uint32_t index) {
     --w.leases;
     w.expired -= lease.expired;
     w.work_held = w.leases == 0 ? 0 : std::max(0.0, w.work_held - lease.cost);
+    frame.work_held = std::max(0.0, frame.work_held - lease.cost);
     if (w.id != 0) wait(lease.worker);
     lease.worker = none;
     free_leases_.push_back(index);
@@ -371,15 +373,19 @@ void Scheduler::crew_changed() {
 void Scheduler::measure_crew(Frame& frame, TimePoint now) const {
     if (now < frame.crew.valid_until) return;
     Crew crew;
-    double threads = 0, threads_round_trips = 0;
+    double threads = 0, threads_round_trips = 0, work_held = 0;
     for (const Worker& w : workers_) {
         if (w.task_seconds == 0 || w.overdue || !ready(w, frame)) continue;
         const double speed = w.threads / w.task_seconds;
         crew.speed += speed;
         threads += w.threads;
         threads_round_trips += speed * w.round_trip;
+        work_held += w.work_held;
     }
-    if (crew.speed > 0) crew.task_seconds = (threads + threads_round_trips) / crew.speed;
+    if (crew.speed > 0) {
+        crew.task_seconds = (threads + threads_round_trips) / crew.speed;
+        crew.busy_seconds = std::max(0.0, work_held - frame.work_held) / crew.speed;
+    }
     crew.valid_until =
         now + std::max<Duration>(least_crew_refresh, seconds(crew_refresh * crew.task_seconds));
     frame.crew = crew;
@@ -391,8 +397,9 @@ bool Scheduler::in_time(const Worker& worker, const Frame& frame, double cost) {
     if (frame.crew.speed == 0) return true;
     if (worker.overdue) return false;
     const double ahead = worker.work_held / worker.threads + std::min(cost, 1.0);
-    return seconds_for(worker, ahead) <=
-           (double(frame.undone) / frame.crew.speed + frame.crew.task_seconds) * 1.000001;
+    return seconds_for(worker, ahead) <= (double(frame.undone) / frame.crew.speed +
+                                          frame.crew.busy_seconds + frame.crew.task_seconds) *
+                                             1.000001;
 }
 
 // ---- Handing out --------------------------------------------------------------------------------

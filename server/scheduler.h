@@ -164,6 +164,7 @@ private:
     /// What the workers that may be trusted with a frame can do together.
     struct Crew {
         double speed = 0;         ///< tasks of cost 1 a second; 0: not known
+        double busy_seconds = 0;  ///< that tasks of other frames in their hands take them
         double task_seconds = 0;  ///< mean time from handing a task to an idle one to its answer
         TimePoint valid_until;
     };
@@ -179,6 +180,7 @@ private:
         std::uint32_t first_open = 0;
         std::deque<Run> open;      ///< first_open and on
         std::uint64_t undone = 0;  ///< tasks of all runs
+        double work_held = 0;      ///< costs of its tasks in workers' hands
         double task_seconds = 0;   ///< from handing out to answer, running mean; 0: not known yet
         std::uint64_t reissued = 0;
         std::set<std::uint64_t> excluded;  ///< workers that cannot render it

@@ -93,7 +93,7 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
       io_(io),
       acceptor_(io),
       started_(Clock::now()),
-      farm_(io.get_executor(), config.fold_threads) {
+      farm_(io.get_executor(), config.fold_threads, config.trace) {
     const tcp::endpoint endpoint = resolve(io, config.listen);
     if (!config.keys.empty()) keys_ = load_server_keys(config.keys);
     if (!keys_ && !endpoint.address().is_loopback())

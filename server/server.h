@@ -27,6 +27,7 @@ struct ServerConfig {
     std::string token;
     unsigned fold_threads = 2;
     std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
+    std::filesystem::path trace = {};  ///< file for the timeline of the last frame; empty: none
     std::size_t most_sessions = 1024;  ///< workers and viewers together
     std::size_t most_strangers = 64;   ///< connections before their handshake is over
     std::chrono::milliseconds handshake_deadline{5000};

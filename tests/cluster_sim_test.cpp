@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdlib>
 
 #include "server/sim/plans.h"
@@ -19,6 +20,26 @@ TEST(ClusterSim, laws_hold_under_random_faults) {
     for (unsigned seed = 0; seed < schedules; ++seed) {
         const SimReport report = simulate(random_cluster(seed));
         ASSERT_TRUE(report.broken.empty()) << "schedule " << seed << ", " << report.broken.front();
+    }
+}
+
+TEST(ClusterSim, frames_in_flight_share_the_workers) {
+    for (unsigned seed = 0; seed < 10; ++seed) {
+        SimConfig config;
+        config.workers = 4;
+        config.slowness = {1, 1, 1, 2};
+        config.size = {256, 192};
+        config.frames = 96;
+        config.in_flight = 16;
+        config.tile_seconds = 0.002;
+        config.seed = seed;
+        const SimReport report = simulate(config);
+        ASSERT_TRUE(report.broken.empty()) << report.broken.front();
+        std::vector<double> seconds = report.frame_seconds;
+        std::sort(seconds.begin(), seconds.end());
+        const double median = seconds[seconds.size() / 2];
+        EXPECT_LT(seconds.back(), 1.3 * median) << seed;
+        EXPECT_GT(report.efficiency(), 0.97) << seed;
     }
 }
 

@@ -6,6 +6,8 @@
 #include <gtest/gtest.h>
 
 #include <cstring>
+#include <fstream>
+#include <regex>
 
 #include "common/check.h"
 #include "common/scene_sync.h"
@@ -419,6 +421,19 @@ TEST(Server, metrics_name_every_worker) {
     EXPECT_NE(text.find("tessera_worker_tiles_total{peer=\"3\",worker=\"a \\\"b\\\"\"} 5\n"),
               std::string::npos)
         << text;
+}
+
+TEST(Server, the_dashboard_shows_metrics_that_there_are) {
+    Status status;
+    status.workers.resize(1);
+    const std::string text = metrics_text(status);
+    std::ifstream file(TESSERA_DASHBOARD);
+    const std::string dashboard(std::istreambuf_iterator<char>(file), {});
+    const std::regex metric("tessera_[a-z_]+");
+    const std::sregex_iterator begin(dashboard.begin(), dashboard.end(), metric), end;
+    EXPECT_GT(std::distance(begin, end), 10);
+    for (auto name = begin; name != end; ++name)
+        EXPECT_NE(text.find("# TYPE " + name->str() + " "), std::string::npos) << name->str();
 }
 
 TEST(Server, dying_workers_do_not_change_a_bit) {
