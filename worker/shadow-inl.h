@@ -209,13 +209,12 @@ private:
                     return hn::MulAdd(n[i][0], u, hn::MulAdd(n[i][1], v, n[i][2]));
                 };
                 const Float least = min3(distance(0), distance(1), distance(2));
-                const Bits inside = bits(least >= hn::Neg(slack)) & alive_.rays[g] >> k;
-                if (!inside) continue;
                 const Float along =
                     hn::MulAdd(plane[0], load(rays.d[shaft_.axis(0)] + k),
                                hn::MulAdd(plane[1], load(rays.d[shaft_.axis(1)] + k),
                                           plane[2] * load(rays.z + k)));
-                const Bits maybe = inside & bits(along >= before);
+                const Bits maybe =
+                    bits(hn::And(least >= hn::Neg(slack), along >= before)) & alive_.rays[g] >> k;
                 if (!maybe) continue;
                 const Bits hit = maybe & bits(hn::And(least > slack, along > beyond));
                 if (hit) alive_.block(g, hit << k), any = true;

@@ -86,7 +86,8 @@ void add_stability(CLI::App& app, Options& options) {
     command->add_option("--rays", options.rays, "rays of each case")
         ->check(CLI::Range(std::uint64_t(100), std::uint64_t(1) << 40))
         ->capture_default_str();
-    command->add_flag("--long", options.long_run, "100 million rays at shared edges and vertices");
+    command->add_flag("--long", options.long_run,
+                      "100 million rays at shared edges and vertices: minutes a row");
     command->callback([&options] {
         write_json(options.json,
                    bench_stability({.rays = options.rays,

@@ -1,11 +1,15 @@
 #include "worker/bench/stability_bench.h"
 
 #include <fmt/format.h>
+#include <tbb/parallel_for.h>
+#include <unistd.h>
 
 #include <functional>
 #include <nlohmann/json.hpp>
+#include <numeric>
 
 #include "worker/bench/judge.h"
+#include "worker/bench/measure.h"
 #include "worker/clip.h"
 #include "worker/embree_tracer.h"
 #include "worker/kdtree.h"
@@ -86,6 +90,56 @@ std::uint64_t count_wrong_packets(const Tracer& tracer, std::span<const Ray> ray
     return wrong;
 }
 
+/// Tells on a terminal how far a case has come, as its row may take minutes.
+class Progress {
+public:
+    Progress(const std::string& name, std::uint64_t count)
+        : name_(name), count_(count), shown_(::isatty(STDERR_FILENO) != 0) {}
+    ~Progress() {
+        if (shown_) fmt::print(stderr, "\r{:60}\r", "");
+    }
+
+    void tell(std::uint64_t tried) {
+        if (!shown_ || wall_seconds() < next_) return;
+        next_ = wall_seconds() + 0.5;
+        const double part = double(tried) / double(count_);
+        const double left = (wall_seconds() - start_) * (1 - part) / part;
+        fmt::print(stderr, "\r{:<32} {:3.0f} %, {:.0f} s left   ", name_, 100 * part, left);
+    }
+
+private:
+    const std::string& name_;
+    std::uint64_t count_;
+    bool shown_;
+    double start_ = wall_seconds(), next_ = start_ + 1;
+};
+
+/// Probes in the order of their making, and parts of them for threads: whole runs of the rays that
+/// share an origin.
+struct Batch {
+    static constexpr std::size_t part = 4096, parts = 16;
+
+    std::vector<Ray> rays;
+    std::vector<Verdict> verdicts;
+
+    void add(const Probe& probe) {
+        rays.push_back(probe.ray);
+        verdicts.push_back(probe.verdict);
+    }
+
+    /// Sums what `count(rays, verdicts)` tells of the parts.
+    template <class Count>
+    std::uint64_t sum(Count&& count) const {
+        std::array<std::uint64_t, parts> sums{};
+        tbb::parallel_for(std::size_t(0), (rays.size() + part - 1) / part, [&](std::size_t i) {
+            const std::size_t size = std::min(part, rays.size() - i * part);
+            sums[i] = count(std::span(rays).subspan(i * part, size),
+                            std::span(verdicts).subspan(i * part, size));
+        });
+        return std::accumulate(sums.begin(), sums.end(), std::uint64_t(0));
+    }
+};
+
 Score run(const Case& one, std::uint64_t count) {
     const std::vector<TracerObject> objects = one.scene.objects();
     const auto ours = build_kdtree_tracer(objects, one.scene.instances, 1);
@@ -93,22 +147,22 @@ Score run(const Case& one, std::uint64_t count) {
     const auto robust = build_embree_tracer(objects, one.scene.instances, 1, true);
     const MakeProbe next = one.probes(one.scene);
     Score score;
-    std::vector<Ray> rays;
-    std::vector<Verdict> verdicts;
+    Progress progress(one.name, count);
     while (score.tried < count) {
-        rays.clear();
-        verdicts.clear();
-        for (; rays.size() < 4096 && score.tried < count; ++score.tried) {
-            const Probe probe = next();
-            rays.push_back(probe.ray);
-            verdicts.push_back(probe.verdict);
-        }
-        score.wrong +=
-            count_wrong(*ours, rays, verdicts) + count_wrong_packets(*ours, rays, verdicts);
+        Batch batch;
+        for (; batch.rays.size() < Batch::part * Batch::parts && score.tried < count; ++score.tried)
+            batch.add(next());
+        score.wrong += batch.sum([&](auto rays, auto verdicts) {
+            return count_wrong(*ours, rays, verdicts) + count_wrong_packets(*ours, rays, verdicts);
+        });
+        const auto wrong_of = [&](const Tracer& tracer) {
+            return batch.sum(
+                [&](auto rays, auto verdicts) { return count_wrong(tracer, rays, verdicts); });
+        };
+        progress.tell(score.tried);
         if (one.embree_aborts) continue;
-        score.embree_wrong = score.embree_wrong.value_or(0) + count_wrong(*embree, rays, verdicts);
-        score.embree_robust_wrong =
-            score.embree_robust_wrong.value_or(0) + count_wrong(*robust, rays, verdicts);
+        score.embree_wrong = score.embree_wrong.value_or(0) + wrong_of(*embree);
+        score.embree_robust_wrong = score.embree_robust_wrong.value_or(0) + wrong_of(*robust);
     }
     return score;
 }
