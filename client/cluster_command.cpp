@@ -10,8 +10,8 @@
 #include "client/cluster_bench.h"
 #include "client/commands.h"
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/scene_bounds.h"
-#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -158,7 +158,7 @@ ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& b
 
 void run(const ClusterOptions& options) {
     Interrupt interrupt;
-    const SceneBundle bundle = load_scene(options.scene).bundle;
+    const SceneBundle bundle = load_contained(options.scene).bundle;
     ClusterBenchConfig config = config_of(options, bundle);
     print_header(options, config.spec);
     nlohmann::json rows = nlohmann::json::array();

@@ -10,6 +10,7 @@
 #include <string>
 
 #include "common/keys.h"
+#include "server/limits.h"
 #include "server/metrics_endpoint.h"
 #include "server/render_farm.h"
 #include "server/scene_store.h"
@@ -26,9 +27,8 @@ struct ServerConfig {
     /// Without keys what peers must prove to know; empty: anybody may come in.
     std::string token;
     unsigned fold_threads = 2;
-    std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
-    std::size_t most_sessions = 1024;  ///< workers and viewers together
-    std::size_t most_strangers = 64;   ///< connections before their handshake is over
+    std::string metrics = {};  ///< host:port of Prometheus' endpoint; empty: none
+    Limits limits = {};
     std::chrono::milliseconds handshake_deadline{5000};
 };
 
@@ -37,7 +37,8 @@ public:
     /// Listens at once. Throws UserError naming the address and what to do.
     Server(asio::io_context& io, const ServerConfig& config);
 
-    /// A scene that every viewer may use. Throws UserError when there is one of that name.
+    /// A scene that every viewer may use. Throws UserError when there is one of that name, or when
+    /// it is beyond the limits.
     void add_scene(const std::string& name, const SceneBundle& bundle);
 
     /// "host:port", with the port that was taken.
@@ -50,6 +51,7 @@ public:
 
 private:
     asio::awaitable<void> accept_peers();
+    void turn_away(tcp::socket socket);
     asio::awaitable<void> serve(tcp::socket socket);
     asio::awaitable<Hello> handshake(std::shared_ptr<Connection> connection);
     std::string objection(const Hello& hello, const std::string& peer_name) const;

@@ -23,10 +23,12 @@ struct Host {
     asio::io_context io;
     Server server;
 
-    explicit Host(const std::string& token = "", const std::filesystem::path& keys = {})
+    explicit Host(const std::string& token = "", const std::filesystem::path& keys = {},
+                  const Limits& limits = {})
         : server(io, {.listen = "127.0.0.1:0",
                       .keys = keys,
                       .token = token,
+                      .limits = limits,
                       .handshake_deadline = 200ms}) {
         server.start();
     }
@@ -794,6 +796,160 @@ TEST(Server, a_viewer_that_does_not_keep_up_misses_pictures_and_delays_nobody) {
             told = message.get<Status>();
         }
         EXPECT_LE(pictures, 2);
+    });
+}
+
+// ---- Limits -------------------------------------------------------------------------------------
+
+/// Runs `body(host, peer)` on a server with these limits; a bystander notices nothing.
+template <class Body>
+void run_limited(const Limits& limits, Body body) {
+    Host host("", {}, limits);
+    host.run([&]() -> asio::awaitable<void> {
+        const auto bystander = co_await join(host, Role::viewer);
+        const auto peer = co_await join(host, Role::viewer);
+        co_await body(host, peer);
+        bystander->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(bystander);
+        EXPECT_TRUE(status.get<Status>());
+    });
+}
+
+void expect_names(const std::string& sentence, const std::string& option) {
+    EXPECT_NE(sentence.find(option), std::string::npos) << sentence;
+}
+
+/// The peer hears why it is dropped, and is.
+asio::awaitable<void> expect_dismissed(std::shared_ptr<Connection> peer, std::string option) {
+    const Message last = co_await receive<Refused>(peer);
+    expect_names(last.get<Refused>()->reason, option);
+    EXPECT_TRUE(co_await closes(peer));
+}
+
+/// What the server says to an uploaded scene: empty when it takes it.
+asio::awaitable<std::string> answer_to_scene(std::shared_ptr<Connection> peer, SceneBundle bundle) {
+    peer->send({SceneUpdate{"scene", diff({}, {.version = 1, .scene = bundle.scene})}, {}});
+    const Message request = co_await receive<BlobRequest>(peer);
+    co_await send_blobs(peer, bundle.blobs, request.get<BlobRequest>()->blobs);
+    for (;;) {
+        const Message answer = co_await peer->receive();
+        if (const auto* failure = answer.get<Failure>()) co_return failure->reason;
+        if (const auto* refused = answer.get<Refused>()) co_return refused->reason;
+        if (answer.get<SceneReady>()) co_return "";
+    }
+}
+
+SceneBundle textured_scene(std::uint32_t width, std::uint32_t height) {
+    SceneBundle bundle = small_scene(1);
+    add_texture(
+        bundle,
+        {.width = width, .height = height, .rgba = std::vector<std::uint8_t>(4 * width * height)});
+    return bundle;
+}
+
+TEST(Limits, of_a_picture) {
+    run_limited({.picture_pixels = 150 * 100}, [](Host& host, auto peer) -> asio::awaitable<void> {
+        start_worker(host);
+        co_await upload(peer, small_scene(1));
+        FrameRequest request = small_request();
+        expect_exact(co_await render(peer, request), request.spec);
+        request.spec.size.width++;
+        expect_names((co_await render(peer, request)).failure, "--max-picture");
+    });
+}
+
+TEST(Limits, of_a_texture) {
+    run_limited({.texture_pixels = 12}, [](Host&, auto peer) -> asio::awaitable<void> {
+        EXPECT_EQ(co_await answer_to_scene(peer, textured_scene(3, 4)), "");
+        expect_names(co_await answer_to_scene(peer, textured_scene(13, 1)), "--max-texture");
+        EXPECT_EQ(co_await answer_to_scene(peer, textured_scene(2, 6)), "");
+    });
+}
+
+TEST(Limits, of_a_scene) {
+    const SceneBundle bundle = small_scene(1);
+    run_limited(
+        {.scene_bytes = bundle.blobs.bytes()}, [&](Host& host, auto peer) -> asio::awaitable<void> {
+            EXPECT_EQ(co_await answer_to_scene(peer, bundle), "");
+            expect_names(co_await answer_to_scene(peer, textured_scene(1, 1)), "--max-scene");
+            host.server.add_scene("loaded", bundle);
+            EXPECT_THROW(host.server.add_scene("large", textured_scene(1, 1)), UserError);
+        });
+}
+
+TEST(Limits, of_a_sessions_memory) {
+    const SceneBundle bundle = small_scene(1);
+    const FrameRequest request = small_request();
+    run_limited({.session_bytes = bundle.blobs.bytes() + memory_of(request.spec)},
+                [&](Host&, auto peer) -> asio::awaitable<void> {
+                    co_await upload(peer, bundle);
+                    // Without workers the first waits.
+                    peer->send({request, {}});
+                    const Picture second = co_await render(peer, small_request(2));
+                    expect_names(second.failure, "--max-session");
+                });
+    run_limited({.session_bytes = bundle.blobs.bytes() - 1},
+                [&](Host&, auto peer) -> asio::awaitable<void> {
+                    expect_names(co_await answer_to_scene(peer, bundle), "--max-session");
+                    EXPECT_TRUE(co_await closes(peer));
+                });
+}
+
+TEST(Limits, of_frames_at_a_time) {
+    run_limited({.frames = 2}, [](Host& host, auto peer) -> asio::awaitable<void> {
+        co_await upload(peer, small_scene(1));
+        for (std::uint64_t i = 1; i <= 3; ++i) peer->send({small_request(i), {}});
+        const Message failure = co_await receive<Failure>(peer);
+        EXPECT_EQ(failure.get<Failure>()->request, 3u);
+        expect_names(failure.get<Failure>()->reason, "--max-frames");
+        start_worker(host);
+        auto received = co_await pictures(peer, 2);
+        for (std::uint64_t i = 1; i <= 2; ++i) expect_exact(received[i], small_request(i).spec);
+    });
+}
+
+TEST(Limits, of_a_message) {
+    const auto watch = [](std::size_t length) {
+        return Message{SceneWatch{std::string(length, 'x')}, {}};
+    };
+    const std::size_t size = encode(watch(100)).head.size() - frame_header_bytes;
+    run_limited({.message_bytes = std::uint32_t(size)},
+                [&](Host&, auto peer) -> asio::awaitable<void> {
+                    peer->send(watch(100));
+                    const Message answer = co_await receive<Failure>(peer);
+                    EXPECT_TRUE(answer.get<Failure>());
+                    peer->send(watch(101));
+                    co_await expect_dismissed(peer, "--max-message");
+                });
+}
+
+TEST(Limits, of_requests_in_a_second) {
+    run_limited({.requests = 10}, [](Host&, auto peer) -> asio::awaitable<void> {
+        for (int i = 0; i < 30; ++i) peer->send({StatusRequest{}, {}});
+        co_await expect_dismissed(peer, "--max-requests");
+    });
+    Rate rate;
+    const auto begin = Rate::Time{} + 1h;
+    for (int second = 0; second < 3; ++second)
+        for (int i = 0; i < 5; ++i) EXPECT_EQ(rate.count(begin + second * 1s + i * 9ms, 3), i < 3);
+}
+
+TEST(Limits, of_sessions) {
+    run_limited({.sessions = 2}, [](Host& host, auto) -> asio::awaitable<void> {
+        const auto third = co_await say_hello(host, hello_of(Role::worker));
+        co_await expect_dismissed(third, "--max-sessions");
+    });
+}
+
+TEST(Limits, of_handshakes_in_progress) {
+    run_limited({.handshakes = 1}, [](Host& host, auto) -> asio::awaitable<void> {
+        const Address address = parse_address(host.server.address());
+        const auto silent = co_await connect(address);
+        const auto second = co_await connect(address);
+        co_await expect_dismissed(second, "--max-handshakes");
+        // Patience with the silent one ends, and the door is open again.
+        EXPECT_TRUE(co_await closes(silent));
+        co_await join(host, Role::viewer);
     });
 }
 
