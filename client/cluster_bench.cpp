@@ -74,6 +74,7 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
       processes_({.workers = config.synthetic ? 0 : config.workers,
                   .threads = config.threads,
                   .log_level = "error",
+                  .keys = config.keys,
                   .programs = {}}),
       real_workers_(processes_.workers()) {
     client_ = {.address = processes_.address(),
@@ -81,7 +82,7 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
                .tick = [this] { interrupt_.check(); }};
     if (config.synthetic)
         synthetic_.emplace(SyntheticConfig{.server = parse_address(client_.address),
-                                           .token = client_.credentials.token,
+                                           .credentials = processes_.worker_credentials(),
                                            .workers = config.workers,
                                            .threads = std::uint32_t(config.threads),
                                            .tile_seconds = config.tile_seconds,

@@ -2,6 +2,7 @@
 // and whether every pixel is right.
 #pragma once
 
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -22,10 +23,11 @@ struct ClusterBenchConfig {
     int viewers = 1;
     unsigned in_flight = 1;  ///< frames that a viewer has asked for at a time
     double seconds = 5;
-    std::vector<double> kills;  ///< seconds after which a worker is killed
-    std::vector<double> hangs;  ///< and after which one hangs
-    FrameSpec spec;             ///< scene, size and settings
-    std::vector<Camera> path;   ///< views in turn
+    std::filesystem::path keys;  ///< as make_keys() made them: all speak TLS; empty: plain
+    std::vector<double> kills;   ///< seconds after which a worker is killed
+    std::vector<double> hangs;   ///< and after which one hangs
+    FrameSpec spec;              ///< scene, size and settings
+    std::vector<Camera> path;    ///< views in turn
 };
 
 struct Percentiles {

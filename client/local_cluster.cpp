@@ -92,11 +92,17 @@ std::string read_line(int fd, Clock::time_point deadline) {
 LocalCluster::LocalCluster(const LocalClusterConfig& config)
     : config_(config), token_(random_token()) {
     const std::string own_pid = std::to_string(getpid());
+    const auto with_keys = [&](std::vector<std::string> arguments, const char* role) {
+        if (!config.keys.empty())
+            arguments.insert(arguments.end(), {"--keys", (config.keys / role).string()});
+        return arguments;
+    };
     int out[2];
     if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
     children_.push_back({.pid = spawn("tessera-server",
-                                      {"--listen", "127.0.0.1:0", "--log", config.log_level,
-                                       "--exit-with-parent", own_pid},
+                                      with_keys({"--listen", "127.0.0.1:0", "--log",
+                                                 config.log_level, "--exit-with-parent", own_pid},
+                                                "server"),
                                       out[1]),
                          .name = "server",
                          .server = true,
@@ -117,14 +123,20 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
         const std::string name = fmt::format("worker-{}", i + 1);
         const pid_t pid =
             spawn("tessera-worker",
-                  {"--server", address_, "--threads", std::to_string(threads), "--name", name,
-                   "--log", config.log_level, "--exit-with-parent", own_pid},
+                  with_keys({"--server", address_, "--threads", std::to_string(threads), "--name",
+                             name, "--log", config.log_level, "--exit-with-parent", own_pid},
+                            "worker"),
                   STDERR_FILENO);
         children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
     }
 }
 
 LocalCluster::~LocalCluster() { stop(); }
+
+Credentials LocalCluster::credentials_of(const char* role) const {
+    if (config_.keys.empty()) return {token_, nullptr};
+    return load_credentials(config_.keys / role);
+}
 
 pid_t LocalCluster::spawn(const std::string& program, const std::vector<std::string>& arguments,
                           int stdout_fd) {

@@ -18,6 +18,7 @@ struct LocalClusterConfig {
     int workers = 1;
     int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
     std::string log_level = "warning";
+    std::filesystem::path keys = {};  ///< as make_keys() made them: TLS; empty: a token alone
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };
@@ -31,7 +32,9 @@ public:
     LocalCluster& operator=(const LocalCluster&) = delete;
 
     const std::string& address() const { return address_; }
-    Credentials credentials() const { return {token_, nullptr}; }
+    /// Of an editor, and of further workers.
+    Credentials credentials() const { return credentials_of("editor"); }
+    Credentials worker_credentials() const { return credentials_of("worker"); }
 
     /// Worker processes, for tests that hurt them.
     std::vector<pid_t> workers() const;
@@ -48,6 +51,7 @@ private:
         bool server = false;
         std::optional<int> ended;  ///< wait status
     };
+    Credentials credentials_of(const char* role) const;
     pid_t spawn(const std::string& program, const std::vector<std::string>& arguments,
                 int stdout_fd);
     void reap();

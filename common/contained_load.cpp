@@ -117,8 +117,9 @@ public:
 
     /// Waits for the end of the child; returns its wait status.
     int end() {
+        const pid_t pid = std::exchange(pid_, 0);
         int status = 0;
-        while (waitpid(std::exchange(pid_, 0), &status, 0) < 0 && errno == EINTR) {
+        while (waitpid(pid, &status, 0) < 0 && errno == EINTR) {
         }
         return status;
     }

@@ -27,8 +27,8 @@ T get(std::span<const std::byte> bytes, std::size_t offset) {
 void require_at_most(const char* what, std::uint32_t bytes, std::uint32_t limit,
                      const char* option = nullptr) {
     if (bytes > limit)
-        throw ProtocolError(fmt::format("{} of {} bytes, at most {} allowed{}{}", what, bytes,
-                                        limit, option ? " by " : "", option ? option : ""));
+        throw ProtocolError(fmt::format("sends a {} of {} bytes, at most {} allowed{}{}", what,
+                                        bytes, limit, option ? " by " : "", option ? option : ""));
 }
 
 }  // namespace

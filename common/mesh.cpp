@@ -149,13 +149,4 @@ Texture decode_texture(std::span<const std::byte> bytes) {
     return texture;
 }
 
-std::uint64_t texture_pixels(std::span<const std::byte> bytes) {
-    if (bytes.size() < 3 * sizeof(std::uint32_t)) return 0;
-    Reader in(bytes);
-    const auto magic = in.value<std::uint32_t>();
-    if (magic != texture_magic && magic != float_magic) return 0;
-    const std::uint64_t width = in.value<std::uint32_t>();
-    return width * in.value<std::uint32_t>();
-}
-
 }  // namespace tessera

@@ -48,7 +48,4 @@ Bytes encode(const Texture& texture);
 Mesh decode_mesh(std::span<const std::byte> bytes);
 Texture decode_texture(std::span<const std::byte> bytes);
 
-/// Pixels that the blob of a texture claims to have, without decoding it; 0 when it is none.
-std::uint64_t texture_pixels(std::span<const std::byte> bytes);
-
 }  // namespace tessera

@@ -16,18 +16,6 @@
 namespace tessera {
 namespace {
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-constexpr bool address_space_is_free = false;
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-constexpr bool address_space_is_free = false;
-#else
-constexpr bool address_space_is_free = true;
-#endif
-#else
-constexpr bool address_space_is_free = true;
-#endif
-
 #if defined(__x86_64__)
 constexpr std::uint32_t architecture = AUDIT_ARCH_X86_64;
 #elif defined(__aarch64__)
@@ -63,7 +51,7 @@ sock_filter result(std::uint32_t value) { return BPF_STMT(BPF_RET | BPF_K, value
 }  // namespace
 
 void bound_resources(std::uint64_t memory_bytes, unsigned seconds) {
-    if (address_space_is_free) set_limit(RLIMIT_AS, memory_bytes, memory_bytes);
+    if (address_space_can_be_bounded) set_limit(RLIMIT_AS, memory_bytes, memory_bytes);
     set_limit(RLIMIT_CPU, seconds, seconds + 1);
     set_limit(RLIMIT_CORE, 0, 0);
     alarm(2 * seconds);

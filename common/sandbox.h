@@ -5,8 +5,18 @@
 
 namespace tessera {
 
-/// Bounds this process for good: address space (not under the address sanitizer, which needs all of
-/// it), CPU time (SIGXCPU at the end), twice that until SIGALRM, no core dumps.
+// Sanitizers need all address space there is.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+inline constexpr bool address_space_can_be_bounded = false;
+#elif defined(__has_feature)
+inline constexpr bool address_space_can_be_bounded =
+    !(__has_feature(address_sanitizer) || __has_feature(thread_sanitizer));
+#else
+inline constexpr bool address_space_can_be_bounded = true;
+#endif
+
+/// Bounds this process for good: address space (where it can be), CPU time (SIGXCPU at the end),
+/// twice that until SIGALRM, no core dumps.
 void bound_resources(std::uint64_t memory_bytes, unsigned seconds);
 
 /// From now on this process makes no sockets, starts no programs and meddles with no other process:

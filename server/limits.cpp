@@ -2,8 +2,6 @@
 
 #include <fmt/format.h>
 
-#include "common/mesh.h"
-
 namespace tessera {
 namespace {
 
@@ -27,11 +25,10 @@ std::string objection_to_scene(const Limits& limits, const SceneBundle& bundle) 
             megabytes(bundle.blobs.bytes()), megabytes(limits.scene_bytes));
     for (const BlobId& id : bundle.scene.textures) {
         const auto blob = bundle.blobs.find(id);
-        const std::uint64_t pixels = blob ? texture_pixels(*blob) : 0;
-        if (pixels > limits.texture_pixels)
+        if (blob && blob->size() > limits.texture_bytes)
             return fmt::format(
-                "a texture has {} pixels: this server takes up to {} (--max-texture)", pixels,
-                limits.texture_pixels);
+                "a texture has {} MB: this server takes textures of up to {} MB (--max-texture)",
+                megabytes(blob->size()), megabytes(limits.texture_bytes));
     }
     return {};
 }

@@ -19,10 +19,10 @@ struct Limits {
     std::size_t handshakes = 64;    ///< --max-handshakes: connections before they are let in
     std::uint32_t requests = 1000;  ///< --max-requests: of one viewer in a second
     std::size_t frames = 16;        ///< --max-frames: of one viewer at a time; and views
-    std::uint32_t message_bytes = max_message_bytes;        ///< --max-message: one from a peer
-    std::uint64_t picture_pixels = max_image_pixels;        ///< --max-picture
-    std::uint64_t texture_pixels = std::uint64_t(1) << 28;  ///< --max-texture
-    std::uint64_t scene_bytes = std::uint64_t(16) << 30;  ///< --max-scene: its meshes and textures
+    std::uint32_t message_bytes = max_message_bytes;       ///< --max-message: one from a peer
+    std::uint64_t picture_pixels = max_image_pixels;       ///< --max-picture
+    std::uint64_t texture_bytes = std::uint64_t(2) << 30;  ///< --max-texture
+    std::uint64_t scene_bytes = std::uint64_t(16) << 30;   ///< --max-scene: its meshes and textures
     /// --max-session: scenes that a viewer has brought, and pictures on their way to it
     std::uint64_t session_bytes = std::uint64_t(16) << 30;
 };

@@ -73,7 +73,7 @@ void add_limits(CLI::App& app, Limits& limits, LoadLimits& load) {
         ->check(CLI::Range(1u, max_message_bytes));
     add("--max-picture", limits.picture_pixels, "pixels of a picture")
         ->check(CLI::Range(std::uint64_t(1), max_image_pixels));
-    add("--max-texture", limits.texture_pixels, "pixels of a texture");
+    add("--max-texture", limits.texture_bytes, "bytes of a texture");
     add("--max-scene", limits.scene_bytes, "bytes of a scene's meshes and textures");
     add("--max-session", limits.session_bytes,
         "bytes of one viewer's own scenes and of pictures on their way to it");
@@ -101,9 +101,10 @@ int main(int argc, char** argv) {
                    "folder `server` that `tessera keys` made: peers speak TLS and have its tokens; "
                    "needed to listen beyond loopback")
         ->envname("TESSERA_KEYS");
-    app.add_option(
-           "--metrics", options.config.metrics,
-           "address at which Prometheus finds metrics; anybody who reaches it can read them")
+    app.add_option("--metrics", options.config.metrics,
+                   "address of /metrics for Prometheus, /healthz and /readyz?workers=N; anybody "
+                   "who reaches "
+                   "it can read them")
         ->type_name("HOST:PORT");
     app.add_option("--log", options.log_level, "how much to log")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))

@@ -149,8 +149,8 @@ TEST(Connection, who_was_let_in_hears_why_he_is_dropped) {
         const Message last = co_await pair.b->receive();
         const auto* refused = last.get<Refused>();
         EXPECT_TRUE(refused);
-        if (refused)
-            EXPECT_NE(refused->reason.find("--max-words"), std::string::npos) << refused->reason;
+        if (!refused) co_return;
+        EXPECT_NE(refused->reason.find("--max-words"), std::string::npos) << refused->reason;
     });
 }
 
