@@ -79,6 +79,7 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
                   .threads = config.threads,
                   .log_level = "error",
                   .route = [this](int, const std::string& server) { return route(server); },
+                  .keys = config.keys,
                   .programs = {}}),
       real_workers_(processes_.workers()) {
     client_ = {.address = config.link ? route(processes_.address()) : processes_.address(),
@@ -86,7 +87,7 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
                .tick = [this] { interrupt_.check(); }};
     if (config.synthetic)
         synthetic_.emplace(SyntheticConfig{.server = parse_address(client_.address),
-                                           .token = client_.credentials.token,
+                                           .credentials = processes_.worker_credentials(),
                                            .workers = config.workers,
                                            .threads = std::uint32_t(config.threads),
                                            .tile_seconds = config.tile_seconds,

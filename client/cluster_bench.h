@@ -2,6 +2,7 @@
 // and whether every pixel is right.
 #pragma once
 
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -23,6 +24,7 @@ struct ClusterBenchConfig {
     int viewers = 1;
     unsigned in_flight = 1;  ///< frames that a viewer has asked for at a time
     double seconds = 5;
+    std::filesystem::path keys;      ///< as make_keys() made them: all speak TLS; empty: plain
     std::vector<double> kills;       ///< seconds after which a worker is killed
     std::vector<double> hangs;       ///< and after which one hangs
     std::vector<double> cuts;        ///< and after which the network loses one

@@ -15,8 +15,8 @@
 #include "client/progress_bar.h"
 #include "client/restart_bench.h"
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/scene_bounds.h"
-#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -59,10 +59,11 @@ std::optional<double> efficiency(const ClusterBenchRow& row, const ClusterBenchR
 }
 
 void print_header(const ClusterOptions& options, const FrameSpec& spec) {
-    fmt::print("{} at {}x{}, {} {} passes, {} workers of {} thread(s)\n", options.scene,
+    fmt::print("{} at {}x{}, {} {} passes, {} workers of {} thread(s), {}\n", options.scene,
                spec.size.width, spec.size.height, spec.settings.passes,
                spec.settings.integrator == Integrator::igi ? "igi" : "path",
-               options.config.synthetic ? "synthetic" : "real", options.config.threads);
+               options.config.synthetic ? "synthetic" : "real", options.config.threads,
+               options.config.keys.empty() ? "plain" : "TLS");
     fmt::print("{:>7} {:>7} {:>8} {:>9} {:>6} {:>27} {:>27} {:>9} {:>8} {:>6}\n", "workers",
                "viewers", "frames/s", "tiles/s", "effic.", "first p50/p95/p99/max ms",
                "final p50/p95/p99/max ms", "CPU/tile", "MB/frame", "wrong");
@@ -202,7 +203,7 @@ ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& b
 
 void run(const ClusterOptions& options) {
     Interrupt interrupt;
-    const SceneBundle bundle = load_scene(options.scene).bundle;
+    const SceneBundle bundle = load_contained(options.scene).bundle;
     ClusterBenchConfig config = config_of(options, bundle);
     print_header(options, config.spec);
     std::vector<ClusterBenchRow> rows;
@@ -338,6 +339,8 @@ void add_cluster_command(CLI::App* bench) {
     command->add_option("--seconds", o.config.seconds, "time of each measurement")
         ->check(CLI::PositiveNumber)
         ->capture_default_str();
+    command->add_option("--keys", o.config.keys,
+                        "folder that `tessera keys` made: all speak TLS, to see what it costs");
     command->add_option("--kill", o.config.kills, "seconds after which a worker is killed")
         ->delimiter(',');
     command->add_option("--hang", o.config.hangs, "seconds after which a worker hangs (SIGSTOP)")

@@ -40,7 +40,7 @@ asio::awaitable<Message> LoadViewer::receive() {
 
 asio::awaitable<void> LoadViewer::run(const SceneBundle& bundle) {
     const auto self = shared_from_this();
-    connection_ = co_await connect(parse_address(config_.address));
+    connection_ = co_await connect(parse_address(config_.address), config_.credentials.tls);
     connection_->send({Hello{.role = Role::viewer,
                              .build = TESSERA_VERSION,
                              .token = config_.credentials.token,

@@ -100,30 +100,36 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
     for (int i = 0; i < config.workers; ++i) {
         const std::string name = fmt::format("worker-{}", i + 1);
         const std::string server = config.route ? config.route(i, address_) : address_;
-        const pid_t pid = spawn("tessera-worker",
-                                {"--server", server, "--threads", std::to_string(threads), "--name",
-                                 name, "--log", config.log_level, "--exit-with-parent", own_pid},
-                                STDERR_FILENO);
+        const pid_t pid =
+            spawn("tessera-worker",
+                  with_keys({"--server", server, "--threads", std::to_string(threads), "--name",
+                             name, "--log", config.log_level, "--exit-with-parent", own_pid},
+                            "worker"),
+                  STDERR_FILENO);
         children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
     }
 }
 
 LocalCluster::~LocalCluster() { stop(); }
 
+std::vector<std::string> LocalCluster::with_keys(std::vector<std::string> arguments,
+                                                 const char* role) const {
+    if (!config_.keys.empty())
+        arguments.insert(arguments.end(), {"--keys", (config_.keys / role).string()});
+    return arguments;
+}
+
 void LocalCluster::start_server() {
     std::vector<std::string> arguments = config_.scenes;
-    for (const std::string& argument :
-         {std::string("--listen"), address_, std::string("--log"), config_.log_level,
-          std::string("--exit-with-parent"), std::to_string(getpid())})
-        arguments.push_back(argument);
-    if (!config_.journal.empty()) {
+    arguments.insert(arguments.end(), {"--listen", address_, "--log", config_.log_level,
+                                       "--exit-with-parent", std::to_string(getpid())});
+    if (!config_.journal.empty())
         arguments.insert(arguments.end(), {"--journal", config_.journal.string()});
-    }
     if (!config_.trace.empty()) arguments.insert(arguments.end(), {"--trace", config_.trace});
     int out[2];
     if (pipe2(out, O_CLOEXEC) != 0) throw UserError("cannot make a pipe for the embedded server");
     Child& server = children_.front();
-    server.pid = spawn("tessera-server", arguments, out[1]);
+    server.pid = spawn("tessera-server", with_keys(arguments, "server"), out[1]);
     server.ended.reset();
     close(out[1]);
     const std::string line = read_line(out[0], Clock::now() + start_timeout);
@@ -142,6 +148,11 @@ void LocalCluster::kill_server() {
     int status = 0;
     waitpid(server.pid, &status, 0);
     server.ended = status;
+}
+
+Credentials LocalCluster::credentials_of(const char* role) const {
+    if (config_.keys.empty()) return {token_, nullptr};
+    return load_credentials(config_.keys / role);
 }
 
 pid_t LocalCluster::spawn(const std::string& program, const std::vector<std::string>& arguments,

@@ -24,6 +24,7 @@ struct LocalClusterConfig {
     std::function<std::string(int, const std::string&)> route = {};
     std::vector<std::string> scenes{};  ///< that the server holds
     std::filesystem::path journal{};    ///< of the server; empty: none
+    std::filesystem::path keys = {};    ///< as make_keys() made them: TLS; empty: a token alone
     std::filesystem::path
         programs;  ///< where tessera-server and -worker lie; empty: beside this one
 };
@@ -37,7 +38,9 @@ public:
     LocalCluster& operator=(const LocalCluster&) = delete;
 
     const std::string& address() const { return address_; }
-    Credentials credentials() const { return {token_, nullptr}; }
+    /// Of an editor, and of further workers.
+    Credentials credentials() const { return credentials_of("editor"); }
+    Credentials worker_credentials() const { return credentials_of("worker"); }
 
     /// Worker processes, for tests that hurt them.
     std::vector<pid_t> workers() const;
@@ -48,6 +51,7 @@ public:
     void kill_server();
     /// Starts it again, at the same address, once it has been killed.
     void start_server();
+    std::vector<std::string> with_keys(std::vector<std::string> arguments, const char* role) const;
 
     /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
     void check_alive();
@@ -59,6 +63,7 @@ private:
         bool server = false;
         std::optional<int> ended;  ///< wait status
     };
+    Credentials credentials_of(const char* role) const;
     pid_t spawn(const std::string& program, const std::vector<std::string>& arguments,
                 int stdout_fd);
     void reap();

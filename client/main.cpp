@@ -7,10 +7,12 @@
 #include "client/commands.h"
 #include "client/interrupt.h"
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/log.h"
 
 int main(int argc, char** argv) {
     using namespace tessera;
+    if (const std::optional<int> status = load_for_parent(argc, argv)) return *status;
     CLI::App app("Tessera renders scenes with global illumination on a cluster.", "tessera");
     app.set_version_flag("--version", TESSERA_VERSION);
     app.require_subcommand(1);

@@ -12,8 +12,8 @@
 #include "client/progress_bar.h"
 #include "client/render_client.h"
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/image_io.h"
-#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -44,7 +44,7 @@ public:
                        interrupt_.check();
                        cluster_.check_alive();
                    }}) {
-        const LoadedScene loaded = load_scene(file);
+        const LoadedScene loaded = load_contained(file);
         camera_ = chosen_camera(options.camera, loaded.bundle,
                                 [this](const std::string& note) { bar_.note(note); });
         request_.spec.scene = std::filesystem::path(file).stem().string();

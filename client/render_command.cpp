@@ -17,10 +17,10 @@
 #include "client/sequence.h"
 #include "common/animate.h"
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/image_io.h"
 #include "common/message_codec.h"
 #include "common/scene_bounds.h"
-#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -157,9 +157,8 @@ private:
 };
 
 LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
-    LoadedScene loaded = load_scene(options.scene);
+    const LoadedScene loaded = load_contained(options.scene, options.environment);
     for (const std::string& note : loaded.notes) bar.note(note);
-    if (!options.environment.empty()) set_environment(loaded.bundle, options.environment);
     if (!has_light(loaded.bundle.scene))
         bar.note("no light in the scene: the picture will be black");
     return loaded;

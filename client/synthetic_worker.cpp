@@ -51,10 +51,10 @@ public:
 
     asio::awaitable<void> run() {
         const auto self = shared_from_this();
-        connection_ = co_await connect(config_.server);
+        connection_ = co_await connect(config_.server, config_.credentials.tls);
         connection_->send({Hello{.role = Role::worker,
                                  .build = TESSERA_VERSION,
-                                 .token = config_.token,
+                                 .token = config_.credentials.token,
                                  .name = fmt::format("synthetic-{}", number_ + 1),
                                  .threads = config_.threads},
                            {}});

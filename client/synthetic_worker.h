@@ -15,7 +15,7 @@ namespace tessera {
 
 struct SyntheticConfig {
     Address server;
-    std::string token;
+    Credentials credentials;
     int workers = 1;
     std::uint32_t threads = 1;
     double tile_seconds = 0;  ///< mean time of a task on one thread; 0: none

@@ -17,7 +17,7 @@
 #include "client/local_cluster.h"
 #include "client/render_client.h"
 #include "common/check.h"
-#include "common/scene_io.h"
+#include "common/contained_load.h"
 
 namespace tessera {
 namespace {
@@ -157,7 +157,7 @@ nlohmann::json report(const std::string& scene, const char* name, const Latencie
 }
 
 void run(const ViewBenchOptions& options) {
-    const LoadedScene loaded = load_scene(options.scene);
+    const LoadedScene loaded = load_contained(options.scene);
     const Camera camera = chosen_camera(options.camera, loaded.bundle, [](const std::string&) {});
     Interrupt interrupt;
     LocalCluster cluster(options.cluster);

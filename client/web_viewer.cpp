@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -24,67 +23,8 @@ using Clock = std::chrono::steady_clock;
 /// Pages show one picture while the next is under way.
 constexpr int most_unshown = 2;
 constexpr std::chrono::seconds status_interval{1};
-/// A screen of 3840 x 2160 pixels.
-constexpr std::size_t most_pixels = 3840 * 2160;
-/// Of a picture's side; metres of a coordinate; stops of an exposure.
-constexpr int most_side = 8192;
-constexpr double most_coordinate = 1e6, most_exposure = 20;
 /// A page shows controls for no more lights than these.
 constexpr std::size_t most_lights = 64;
-
-const std::map<std::string, Channel> channels = {{"picture", Channel::radiance},
-                                                 {"direct light", Channel::direct},
-                                                 {"indirect light", Channel::indirect},
-                                                 {"irradiance", Channel::irradiance},
-                                                 {"albedo", Channel::albedo},
-                                                 {"normal", Channel::normal},
-                                                 {"depth", Channel::depth}};
-
-// ---- From JSON ----------------------------------------------------------------------------------
-
-double number_of(const json& value, double most) {
-    const double number = value.get<double>();
-    if (!(std::abs(number) <= most)) throw PageError(fmt::format("{} is out of range", number));
-    return number;
-}
-
-std::uint32_t count_of(const json& value) {
-    const double count = number_of(value, 4e9);
-    if (count < 0) throw PageError(fmt::format("{} is out of range", count));
-    return std::uint32_t(count);
-}
-
-vec3 vec3_of(const json& value) {
-    const auto at = [&](int i) { return float(number_of(value.at(i), most_coordinate)); };
-    return {at(0), at(1), at(2)};
-}
-
-Camera camera_of(const json& value) {
-    const Camera camera{.name = {},
-                        .eye = vec3_of(value.at("eye")),
-                        .at = vec3_of(value.at("at")),
-                        .up = vec3_of(value.at("up")),
-                        .fov_y = float(number_of(value.at("fov"), 179))};
-    const vec3 view = camera.at - camera.eye;
-    if (!(length(cross(view, camera.up)) > 1e-6f * length(view) * length(camera.up)) ||
-        camera.fov_y < 0.01f)
-        throw PageError("the camera sees nothing");
-    return camera;
-}
-
-ImageSize size_of(const json& value) {
-    const ImageSize size{int(number_of(value.at(0), most_side)),
-                         int(number_of(value.at(1), most_side))};
-    if (std::min(size.width, size.height) < 1 || size.pixels() > most_pixels)
-        throw PageError("no picture has that size");
-    return size;
-}
-
-Channel channel_of(const json& value) {
-    const auto found = channels.find(value.get<std::string>());
-    if (found == channels.end()) throw PageError("no channel has that name");
-    return found->second;
-}
 
 // ---- To JSON ------------------------------------------------------------------------------------
 
@@ -175,16 +115,7 @@ void WebViewer::hear(const std::vector<std::string>& messages) {
 
 void WebViewer::hear(const json& message) {
     if (message.contains("view")) {
-        const json& view = message.at("view");
-        wanted_.spec.camera = camera_of(view.at("camera"));
-        wanted_.spec.size = size_of(view.at("size"));
-        wanted_.spec.settings.integrator =
-            view.at("reference").get<bool>() ? Integrator::path : Integrator::igi;
-        wanted_.tone_map.exposure = float(number_of(view.at("exposure"), most_exposure));
-        wanted_.tone_map.curve =
-            view.at("filmic").get<bool>() ? ToneCurve::filmic : ToneCurve::srgb;
-        wanted_.shown = channel_of(view.at("channel"));
-        wanted_.stamp = count_of(view.at("stamp"));
+        read_view(message.at("view"), wanted_);
     } else if (message.contains("shown")) {
         unshown_ = std::max(unshown_ - 1, 0);
     } else if (message.contains("pick")) {
@@ -200,11 +131,9 @@ void WebViewer::hear(const json& message) {
 }
 
 void WebViewer::pick(const json& message) {
-    const json& point = message.at("pick");
-    const auto at = [&](int i) { return float(number_of(point.at(i), 100)); };
-    json answer = {{"number", count_of(message.at("number"))}};
-    if (const auto picked =
-            picker().pick(scene(), eye_ray(wanted_.spec.camera, vec2(at(0), at(1))))) {
+    const auto [point, number] = read_pick(message);
+    json answer = {{"number", number}};
+    if (const auto picked = picker().pick(scene(), eye_ray(wanted_.spec.camera, point))) {
         const Instance& instance = scene().instances[picked->instance];
         answer["instance"] = instance.name;
         answer["origin"] = json_of(vec3(instance.world_from_object[3]));

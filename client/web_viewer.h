@@ -25,19 +25,14 @@
 #include <chrono>
 #include <nlohmann/json_fwd.hpp>
 #include <optional>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "client/page_json.h"
 #include "client/pick.h"
 #include "client/render_client.h"
 
 namespace tessera {
-
-/// What the page says makes no sense: ends the service of that page and no other.
-struct PageError : std::runtime_error {
-    using std::runtime_error::runtime_error;
-};
 
 enum class PageNews : std::uint8_t { about, picked, status, notice, picture };
 

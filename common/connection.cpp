@@ -49,6 +49,20 @@ std::string describe_peer(const tcp::socket& socket) {
     return describe({endpoint.address().to_string(), std::to_string(endpoint.port())});
 }
 
+/// Certificates that do not agree are one fault, a server that hangs up before it shows its own is
+/// another.
+std::string why_no_tls(const error_code& error) {
+    if (error.category() == asio::error::get_ssl_category())
+        return fmt::format(
+            "no TLS with it: {}; does it run with --keys, and are these keys from the same "
+            "`tessera keys`?",
+            error.message());
+    return fmt::format(
+        "it {} before TLS began; it may be busy and turn newcomers away, so try again in a while, "
+        "or run without --keys",
+        error == asio::error::operation_aborted ? "does not answer" : "hangs up");
+}
+
 }  // namespace
 
 struct Connection::Tunnel {
@@ -57,9 +71,11 @@ struct Connection::Tunnel {
     Tunnel(tcp::socket& socket, const Tls& tls) : stream(socket, tls.context()) {}
 };
 
-Connection::Connection(tcp::socket socket, const ConnectionConfig& config)
+Connection::Connection(tcp::socket socket, const ConnectionConfig& config,
+                       const FrameLimits& limits)
     : socket_(std::move(socket)),
       config_(config),
+      limits_(limits),
       remote_address_(describe_peer(socket_)),
       read_timer_(socket_.get_executor()),
       write_timer_(socket_.get_executor()),
@@ -93,6 +109,11 @@ asio::awaitable<bool> Connection::peer_begins_tls() {
     co_return first == tls_handshake_record;
 }
 
+void Connection::admit(const FrameLimits& limits) {
+    limits_ = limits;
+    admitted_ = true;
+}
+
 std::string Connection::peer_name() const {
     if (!tunnel_) return {};
     const std::unique_ptr<X509, decltype(&X509_free)> certificate(
@@ -104,13 +125,11 @@ std::string Connection::peer_name() const {
     return name;
 }
 
-asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> silence,
-                                             FrameLimits limits) {
+asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> silence) {
     const auto self = shared_from_this();
     try {
         for (;;) {
-            if (std::optional<Message> message = take_message(limits))
-                co_return std::move(*message);
+            if (std::optional<Message> message = take_message()) co_return std::move(*message);
             co_await read_more(silence);
         }
     } catch (...) {
@@ -118,28 +137,35 @@ asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> sile
     }
 }
 
-std::optional<Message> Connection::receive_now(FrameLimits limits) {
+std::optional<Message> Connection::receive_now() {
     try {
-        return take_message(limits);
+        return take_message();
     } catch (...) {
         fail_receive();
     }
 }
 
 void Connection::fail_receive() {
-    close();
-    if (!complaint_.empty()) throw ProtocolError(complaint_);
-    throw;
+    try {
+        throw;
+    } catch (const ProtocolError& error) {
+        dismiss(error.what());
+        throw;
+    } catch (...) {
+        close();
+        if (!complaint_.empty()) throw ProtocolError(complaint_);
+        throw;
+    }
 }
 
-std::optional<Message> Connection::take_message(const FrameLimits& limits) {
+std::optional<Message> Connection::take_message() {
     if (!open()) throw boost::system::system_error(asio::error::operation_aborted);
     const std::span<const std::byte> here(block_.get() + begin_, end_ - begin_);
     if (here.size() < frame_header_bytes) {
         make_room(frame_header_bytes);
         return std::nullopt;
     }
-    const FrameHeader header = decode_header(here.first<frame_header_bytes>(), limits);
+    const FrameHeader header = decode_header(here.first<frame_header_bytes>(), limits_);
     const std::size_t size =
         frame_header_bytes + std::size_t(header.message_bytes) + header.payload_bytes;
     if (here.size() < size) {
@@ -223,7 +249,7 @@ asio::awaitable<void> Connection::write_all() {
         std::size_t size = 0;
         for (const EncodedMessage& message : batch) size += message.size();
         if (co_await write(batch)) close();
-        if (!open()) break;
+        if (!socket_.is_open()) break;
         queued_bytes_ -= size;
         bytes_sent_ += size;
         drained_.cancel();
@@ -276,6 +302,7 @@ asio::awaitable<void> Connection::close_when_sent() {
 }
 
 void Connection::close() {
+    if (dismissed_) return;  // it closes when its last words are sent
     error_code ignored;
     socket_.close(ignored);
     control_.clear();
@@ -288,6 +315,40 @@ void Connection::close_for(const std::string& complaint) {
     if (!open()) return;
     complaint_ = complaint;
     close();
+}
+
+void Connection::dismiss(const std::string& reason) {
+    if (!admitted_) return close();
+    if (!open()) return;
+    for (Lane* lane : {&control_, &bulk_}) {
+        for (const EncodedMessage& message : *lane) queued_bytes_ -= message.size();
+        lane->clear();
+    }
+    send({Refused{reason}, {}});
+    dismissed_ = true;
+    drained_.cancel();
+    asio::co_spawn(
+        socket_.get_executor(), [self = shared_from_this()] { return self->say_last_words(); },
+        asio::detached);
+}
+
+asio::awaitable<void> Connection::say_last_words() {
+    const auto end = [self = shared_from_this()](const error_code& cancelled) {
+        if (cancelled) return;
+        self->dismissed_ = false;
+        self->close();
+    };
+    asio::steady_timer deadline(socket_.get_executor(), closing_deadline);
+    deadline.async_wait(end);
+    while (queued_bytes_ > 0) co_await progress();
+    error_code error;
+    socket_.shutdown(tcp::socket::shutdown_send, error);
+    // A socket that is closed while something arrives takes back what it has sent: read to the end.
+    std::array<std::byte, 4096> rest;
+    while (!error)
+        co_await socket_.async_read_some(asio::buffer(rest),
+                                         asio::redirect_error(asio::use_awaitable, error));
+    end({});
 }
 
 void Connection::arm(asio::steady_timer& timer, Clock::duration time, const char* complaint) {
@@ -359,10 +420,7 @@ asio::awaitable<std::shared_ptr<Connection>> connect(Address address,
     try {
         co_await connection->secure(*tls);
     } catch (const boost::system::system_error& failure) {
-        throw fail(
-            fmt::format("no TLS with it: {}; does it run with --keys, and are these keys "
-                        "from the same `tessera keys`?",
-                        failure.code().message()));
+        throw fail(why_no_tls(failure.code()));
     }
     co_return connection;
 }

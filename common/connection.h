@@ -42,7 +42,8 @@ class Connection : public std::enable_shared_from_this<Connection> {
 public:
     /// Takes over a connected socket; sets TCP_NODELAY, and keepalive so that a peer whose machine
     /// is gone is noticed within half a minute even if nobody speaks.
-    explicit Connection(tcp::socket socket, const ConnectionConfig& config = {});
+    explicit Connection(tcp::socket socket, const ConnectionConfig& config = {},
+                        const FrameLimits& limits = {});
     ~Connection();
 
     /// Speaks TLS from now on; comes before anything is sent or received. Throws
@@ -51,6 +52,9 @@ public:
     /// Whether the peer, a client, begins with TLS. Returns when its first byte is there; throws
     /// boost::system::system_error when the connection is lost or closed.
     asio::awaitable<bool> peer_begins_tls();
+    /// The peer has been let in: from now on its messages have these limits, and it is told why
+    /// before it is dropped for a fault of its own.
+    void admit(const FrameLimits& limits);
     /// Common name of the certificate that the peer has proven to own; empty when it has none.
     std::string peer_name() const;
 
@@ -59,9 +63,9 @@ public:
     /// for too long, boost::system::system_error when the connection is lost or closed. Whatever it
     /// throws, the connection is closed.
     asio::awaitable<Message> receive(
-        std::optional<std::chrono::steady_clock::duration> silence = {}, FrameLimits limits = {});
+        std::optional<std::chrono::steady_clock::duration> silence = {});
     /// A message that has arrived already, without waiting; throws as `receive` does.
-    std::optional<Message> receive_now(FrameLimits limits = {});
+    std::optional<Message> receive_now();
 
     /// Queues a message; within a lane messages keep their order, and bulk messages go out only
     /// when no control message waits. Never blocks and never throws for the peer's faults; on a
@@ -83,10 +87,14 @@ public:
     void close();
     /// Closes at once for the peer's fault; `receive` ends with ProtocolError(complaint).
     void close_for(const std::string& complaint);
+    /// Closes for the peer's fault, but tells a peer that was admitted why: the socket lives on for
+    /// up to two seconds, in which what still arrives is thrown away, so that the words get
+    /// through.
+    void dismiss(const std::string& reason);
     /// Closes once everything queued has been sent, or when the peer takes none of it for two
     /// seconds.
     asio::awaitable<void> close_when_sent();
-    bool open() const { return socket_.is_open(); }
+    bool open() const { return socket_.is_open() && !dismissed_; }
     asio::any_io_executor executor() { return socket_.get_executor(); }
     /// "host:port" of the peer, for logs.
     const std::string& remote_address() const { return remote_address_; }
@@ -104,12 +112,13 @@ private:
     /// Returns when something was sent or the connection closed.
     asio::awaitable<void> progress();
     /// The next message if all of it is here.
-    std::optional<Message> take_message(const FrameLimits& limits);
+    std::optional<Message> take_message();
     /// Makes room in `block_` for a frame of that size at `begin_`.
     void make_room(std::size_t frame_bytes);
     asio::awaitable<void> read_more(std::optional<std::chrono::steady_clock::duration> silence);
     /// Closes and rethrows the current exception, or what we hold against the peer.
     [[noreturn]] void fail_receive();
+    asio::awaitable<void> say_last_words();
     /// Lets `timer` close the connection after `time` unless armed again or disarmed before.
     void arm(asio::steady_timer& timer, std::chrono::steady_clock::duration time,
              const char* complaint);
@@ -117,6 +126,7 @@ private:
     tcp::socket socket_;
     std::unique_ptr<Tunnel> tunnel_;  ///< TLS over the socket; null: plain
     ConnectionConfig config_;
+    FrameLimits limits_;
     std::string remote_address_;
     Lane control_;
     Lane bulk_;
@@ -124,6 +134,8 @@ private:
     std::uint64_t bytes_received_ = 0;
     std::uint64_t bytes_sent_ = 0;
     bool writing_ = false;
+    bool admitted_ = false;
+    bool dismissed_ = false;
     // What has arrived and not been taken: [begin_, end_) of block_. Payloads share the block,
     // which is used again once nobody does.
     std::shared_ptr<std::byte[]> block_;

@@ -24,9 +24,11 @@ T get(std::span<const std::byte> bytes, std::size_t offset) {
     return value;
 }
 
-void require_at_most(const char* what, std::uint32_t bytes, std::uint32_t limit) {
+void require_at_most(const char* what, std::uint32_t bytes, std::uint32_t limit,
+                     const char* option = nullptr) {
     if (bytes > limit)
-        throw ProtocolError(fmt::format("{} of {} bytes, at most {} allowed", what, bytes, limit));
+        throw ProtocolError(fmt::format("sends a {} of {} bytes, at most {} allowed{}{}", what,
+                                        bytes, limit, option ? " by " : "", option ? option : ""));
 }
 
 }  // namespace
@@ -49,7 +51,7 @@ FrameHeader decode_header(std::span<const std::byte, frame_header_bytes> bytes,
     const FrameHeader header{.kind = get<std::uint16_t>(bytes, 4),
                              .message_bytes = get<std::uint32_t>(bytes, 8),
                              .payload_bytes = get<std::uint32_t>(bytes, 12)};
-    require_at_most("message", header.message_bytes, limits.message_bytes);
+    require_at_most("message", header.message_bytes, limits.message_bytes, limits.option);
     require_at_most("payload", header.payload_bytes, limits.payload_bytes);
     return header;
 }

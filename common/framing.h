@@ -42,6 +42,7 @@ std::array<std::byte, frame_header_bytes> encode(const FrameHeader& header);
 struct FrameLimits {
     std::uint32_t message_bytes = max_message_bytes;
     std::uint32_t payload_bytes = max_payload_bytes;
+    const char* option = nullptr;  ///< by which an operator raises message_bytes, if he can
 };
 
 /// Throws ProtocolError when the magic is wrong, reserved bits are set or a limit is exceeded.

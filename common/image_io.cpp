@@ -6,6 +6,8 @@
 
 #include <algorithm>
 #include <array>
+#include <fstream>
+#include <string_view>
 
 #include "common/check.h"
 
@@ -17,8 +19,9 @@ using OIIO::ImageOutput;
 using OIIO::ImageSpec;
 using OIIO::TypeDesc;
 
-/// Larger pictures are refused before anything is allocated: a header is easily forged.
-constexpr std::int64_t max_pixels = std::int64_t(1) << 28;
+/// Larger pictures are refused before anything is allocated: a header is easily forged. 16384 x
+/// 16384 pixels of 8-bit RGBA.
+constexpr std::int64_t max_decoded_bytes = std::int64_t(1) << 30;
 
 [[noreturn]] void cannot(const char* verb, const std::string& origin, std::string reason) {
     while (!reason.empty() && reason.back() == '\n') reason.pop_back();
@@ -31,10 +34,12 @@ template <class T>
 std::vector<T> read_pixels(ImageInput& in, TypeDesc type, const std::string& origin) {
     const ImageSpec spec = in.spec();
     if (spec.width < 1 || spec.height < 1 || spec.depth > 1 || spec.nchannels < 1 ||
-        spec.nchannels > 64 || std::int64_t(spec.width) * spec.height > max_pixels)
-        cannot(
-            "use", origin,
-            fmt::format("{}x{} pixels with {} channels", spec.width, spec.height, spec.nchannels));
+        spec.nchannels > 64 || std::int64_t(spec.width) * spec.height > max_decoded_bytes ||
+        std::int64_t(spec.width) * spec.height * spec.nchannels * std::int64_t(sizeof(T)) >
+            max_decoded_bytes)
+        cannot("use", origin,
+               fmt::format("{}x{} pixels with {} channels take more than {} MB, or none at all",
+                           spec.width, spec.height, spec.nchannels, max_decoded_bytes >> 20));
     std::vector<T> pixels(std::size_t(spec.width) * spec.height * spec.nchannels);
     if (!in.read_image(0, 0, 0, spec.nchannels, type, pixels.data()))
         cannot("read", origin, in.geterror());
@@ -64,16 +69,47 @@ Texture texture_from(ImageInput& in, const std::string& origin) {
     return texture;
 }
 
-/// A file name by which OpenImageIO finds the format of encoded bytes.
-std::string name_for(std::span<const std::byte> encoded, const std::string& origin) {
-    const auto starts = [&](std::initializer_list<int> magic) {
-        return encoded.size() >= magic.size() &&
-               std::equal(magic.begin(), magic.end(), encoded.begin(),
-                          [](int a, std::byte b) { return a == int(b); });
-    };
-    if (starts({0x89, 'P', 'N', 'G'})) return "picture.png";
-    if (starts({0xff, 0xd8})) return "picture.jpg";
-    return origin;
+std::string lower_extension(const std::filesystem::path& file) {
+    std::string extension = file.extension().string();
+    for (char& c : extension) c = char(std::tolower(static_cast<unsigned char>(c)));
+    return extension;
+}
+
+/// Formats that scenes use, by their first bytes. OpenImageIO by itself would try its readers one
+/// after the other, down to those for cameras and hospitals.
+struct Format {
+    const char* name;  ///< OpenImageIO's
+    std::string_view magic;
+};
+
+using namespace std::string_view_literals;
+constexpr Format formats[] = {
+    {"png", "\x89PNG"sv}, {"jpeg", "\xff\xd8"sv}, {"openexr", "\x76\x2f\x31\x01"sv},
+    {"hdr", "#?"sv},      {"tiff", "II*\0"sv},    {"tiff", "MM\0*"sv},
+    {"bmp", "BM"sv},      {"gif", "GIF8"sv},      {"webp", "RIFF"sv},
+    {"dds", "DDS "sv},    {"pnm", "P2"sv},        {"pnm", "P3"sv},
+    {"pnm", "P5"sv},      {"pnm", "P6"sv},        {"pnm", "PF"sv},
+    {"pnm", "Pf"sv},
+};
+
+/// Empty when the format is none of these.
+std::string format_of(std::string_view first_bytes, const std::filesystem::path& name) {
+    for (const Format& format : formats)
+        if (first_bytes.starts_with(format.magic)) return format.name;
+    return lower_extension(name) == ".tga" ? "targa" : "";  // the one that begins with nothing
+}
+
+std::unique_ptr<ImageInput> open_file(const std::filesystem::path& file, const ImageSpec& config) {
+    std::array<char, 4> start{};
+    std::ifstream in(file, std::ios::binary);
+    if (!in) cannot("read", file.string(), "no such file, or not to be read");
+    in.read(start.data(), start.size());
+    const std::string format = format_of({start.data(), std::size_t(in.gcount())}, file);
+    auto input = format.empty() ? nullptr : ImageInput::create(format);
+    ImageSpec spec;
+    if (!input) cannot("read", file.string(), OIIO::geterror());
+    if (!input->open(file.string(), spec, config)) cannot("read", file.string(), input->geterror());
+    return input;
 }
 
 void write_pixels(const std::filesystem::path& file, const ImageSpec& spec, TypeDesc type,
@@ -83,12 +119,6 @@ void write_pixels(const std::filesystem::path& file, const ImageSpec& spec, Type
     if (!out->open(file.string(), spec)) cannot("write", file.string(), out->geterror());
     if (!out->write_image(type, pixels) || !out->close())
         cannot("write", file.string(), out->geterror());
-}
-
-std::string lower_extension(const std::filesystem::path& file) {
-    std::string extension = file.extension().string();
-    for (char& c : extension) c = char(std::tolower(static_cast<unsigned char>(c)));
-    return extension;
 }
 
 Image three_channels(const Image& image) {
@@ -101,8 +131,7 @@ Image three_channels(const Image& image) {
 }  // namespace
 
 Image read_image(const std::filesystem::path& file) {
-    const auto in = ImageInput::open(file.string());
-    if (!in) cannot("read", file.string(), OIIO::geterror());
+    const auto in = open_file(file, {});
     const auto pixels = read_pixels<float>(*in, TypeDesc::FLOAT, file.string());
     const ImageSpec& spec = in->spec();
     const bool srgb = spec.format == TypeDesc::UINT8 || spec.format == TypeDesc::UINT16;
@@ -148,21 +177,19 @@ void write_srgb8(std::span<const std::uint8_t> rgb, ImageSize size,
 Texture decode_picture(std::span<const std::byte> encoded, const std::string& origin) {
     OIIO::Filesystem::IOMemReader memory(encoded.data(), encoded.size());
     const ImageSpec config = straight_alpha();
-    const std::string name = name_for(encoded, origin);
+    const std::string format =
+        format_of({reinterpret_cast<const char*>(encoded.data()), encoded.size()}, origin);
     // Told of the memory twice: create() must not look for a file, open() forgets it.
-    const auto in = ImageInput::create(name, false, &config, &memory);
+    const auto in = format.empty() ? nullptr : ImageInput::create(format, false, &config, &memory);
     ImageSpec spec;
     if (!in) cannot("read", origin, OIIO::geterror());
-    if (!in->set_ioproxy(&memory) || !in->open(name, spec, config))
+    if (!in->set_ioproxy(&memory) || !in->open("picture." + format, spec, config))
         cannot("read", origin, in->geterror());
     return texture_from(*in, origin);
 }
 
 Texture read_texture(const std::filesystem::path& file) {
-    const ImageSpec config = straight_alpha();
-    const auto in = ImageInput::open(file.string(), &config);
-    if (!in) cannot("read", file.string(), OIIO::geterror());
-    return texture_from(*in, file.string());
+    return texture_from(*open_file(file, straight_alpha()), file.string());
 }
 
 Bytes encode_png(const Texture& texture) {

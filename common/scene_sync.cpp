@@ -100,7 +100,9 @@ void SceneReceiver::make_room(std::uint64_t bytes) {
     if (fits()) return;
     drop_unused_blobs();
     if (!fits())
-        refuse("scenes with more than {} MB of meshes and textures", limits_.blob_bytes >> 20);
+        refuse("brings scenes with more than {} MB of meshes and textures{}{}",
+               limits_.blob_bytes >> 20, limits_.option ? ": limited by " : "",
+               limits_.option ? limits_.option : "");
 }
 
 void SceneReceiver::drop_unused_blobs() {

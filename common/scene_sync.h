@@ -39,6 +39,7 @@ struct ReadyScene {
 struct SceneLimits {
     std::uint64_t scenes = 64;
     std::uint64_t blob_bytes = std::uint64_t(16) << 30;  ///< held, of all scenes together
+    const char* option = nullptr;  ///< by which an operator raises blob_bytes, if he can
 };
 
 /// The receiving end: all scenes of one peer. Pure. Whatever it throws is a ProtocolError.

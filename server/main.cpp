@@ -10,9 +10,9 @@
 #include <set>
 
 #include "common/check.h"
+#include "common/contained_load.h"
 #include "common/log.h"
 #include "common/process.h"
-#include "common/scene_io.h"
 #include "server/server.h"
 
 namespace tessera {
@@ -22,6 +22,7 @@ struct Options {
     std::vector<std::string> scenes;
     bool reload = false;
     ServerConfig config;
+    LoadLimits load;
     std::string log_level = "info";
     pid_t parent = 0;
 };
@@ -34,8 +35,9 @@ void keep_memory() {
     mallopt(M_ARENA_MAX, 1);
 }
 
-void load(Server& server, const std::string& file_or_name, const std::string& name) {
-    const LoadedScene loaded = load_scene(file_or_name);
+void load(Server& server, const std::string& file_or_name, const std::string& name,
+          const LoadLimits& limits) {
+    const LoadedScene loaded = load_contained(file_or_name, {}, limits);
     for (const std::string& note : loaded.notes) spdlog::info("{}: {}", name, note);
     server.add_scene(name, loaded.bundle);
 }
@@ -47,7 +49,7 @@ void load_all(Server& server, const Options& options) {
         if (!names.insert(name).second)
             throw UserError(fmt::format("two scenes are called '{}'", name));
         // What the journal brought back goes before what files hold.
-        if (!server.holds_scene(name) || options.reload) load(server, scene, name);
+        if (!server.holds_scene(name) || options.reload) load(server, scene, name, options.load);
     }
 }
 
@@ -66,11 +68,38 @@ void run(const Options& options) {
     io.run();
 }
 
+/// What peers may ask for at most.
+void add_limits(CLI::App& app, Limits& limits, LoadLimits& load) {
+    const auto add = [&](const char* name, auto& value, const char* help) {
+        using Value = std::remove_reference_t<decltype(value)>;
+        return app.add_option(name, value, help)
+            ->transform(CLI::AsSizeValue(false))
+            ->check(CLI::Range(Value(1), std::numeric_limits<Value>::max()))
+            ->group("Limits (512, 64M, 4G...)")
+            ->capture_default_str();
+    };
+    add("--max-sessions", limits.sessions, "workers and viewers together");
+    add("--max-handshakes", limits.handshakes, "connections at a time that are not let in yet");
+    add("--max-requests", limits.requests, "requests of one viewer in a second");
+    add("--max-frames", limits.frames, "frames of one viewer at a time, and views");
+    add("--max-message", limits.message_bytes, "bytes of one message")
+        ->check(CLI::Range(1u, max_message_bytes));
+    add("--max-picture", limits.picture_pixels, "pixels of a picture")
+        ->check(CLI::Range(std::uint64_t(1), max_image_pixels));
+    add("--max-texture", limits.texture_bytes, "bytes of a texture");
+    add("--max-scene", limits.scene_bytes, "bytes of a scene's meshes and textures");
+    add("--max-session", limits.session_bytes,
+        "bytes of one viewer's own scenes and of pictures on their way to it");
+    add("--max-load-memory", load.memory_bytes, "bytes that reading a scene file may take");
+    add("--max-load-seconds", load.seconds, "CPU time that reading a scene file may take");
+}
+
 }  // namespace
 }  // namespace tessera
 
 int main(int argc, char** argv) {
     using namespace tessera;
+    if (const std::optional<int> status = load_for_parent(argc, argv)) return *status;
     Options options;
     CLI::App app(
         "Tessera's server: owns scenes and frames, spreads the work over workers.\n"
@@ -93,9 +122,9 @@ int main(int argc, char** argv) {
     app.add_flag("--reload", options.reload,
                  "read the scenes named here from their files, though the journal has them")
         ->needs(journal);
-    app.add_option(
-           "--metrics", options.config.metrics,
-           "address at which Prometheus finds metrics; anybody who reaches it can read them")
+    app.add_option("--metrics", options.config.metrics,
+                   "address of /metrics for Prometheus, /healthz and /readyz?workers=N; anybody "
+                   "who reaches it can read them")
         ->type_name("HOST:PORT");
     app.add_option("--trace", options.config.trace,
                    "file for the timeline of the frame that finished last, for chrome://tracing or "
@@ -107,6 +136,7 @@ int main(int argc, char** argv) {
     app.add_option("--exit-with-parent", options.parent,
                    "end when the process that started this one ends, and has this number")
         ->type_name("PID");
+    add_limits(app, options.config.limits, options.load);
     CLI11_PARSE(app, argc, argv);
     if (options.parent != 0) end_with_parent(options.parent);
     if (const char* token = std::getenv("TESSERA_TOKEN")) options.config.token = token;

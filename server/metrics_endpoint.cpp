@@ -2,7 +2,10 @@
 
 #include <fmt/format.h>
 
+#include <charconv>
 #include <memory>
+#include <optional>
+#include <string_view>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -47,13 +50,41 @@ void add_each(std::string& out, const Status& status, const char* name, const ch
                            escaped(worker.name), value_of(worker));
 }
 
-std::string http_answer(const std::string& head, const std::function<Status()>& status) {
-    const bool known = head.starts_with("GET /metrics ") || head.starts_with("GET / ");
-    const std::string body = known ? metrics_text(status()) : "metrics are at /metrics\n";
-    return fmt::format(
-        "HTTP/1.1 {}\r\nContent-Type: text/plain; version=0.0.4\r\nContent-Length: {}\r\n"
-        "Connection: close\r\n\r\n{}",
-        known ? "200 OK" : "404 Not Found", body.size(), body);
+/// The path that a GET asks for; empty when the head is something else.
+std::string_view path_of(std::string_view head) {
+    constexpr std::string_view get = "GET ";
+    if (!head.starts_with(get)) return {};
+    head.remove_prefix(get.size());
+    return head.substr(0, head.find(' '));
+}
+
+/// The number after "/readyz?workers=", if that is what the path is.
+std::optional<std::uint32_t> workers_asked_for(std::string_view path) {
+    constexpr std::string_view question = "/readyz?workers=";
+    if (!path.starts_with(question)) return std::nullopt;
+    path.remove_prefix(question.size());
+    std::uint32_t count = 0;
+    const auto [end, error] = std::from_chars(path.data(), path.data() + path.size(), count);
+    if (error != std::errc{} || end != path.data() + path.size()) return std::nullopt;
+    return count;
+}
+
+struct Answer {
+    const char* code = "200 OK";
+    std::string body;
+};
+
+Answer answer_to(std::string_view path, const std::function<Status()>& status) {
+    if (path == "/metrics" || path == "/") return {.body = metrics_text(status())};
+    // Whoever is answered has come to a server that runs its loop: it listens, its scenes are
+    // there.
+    if (path == "/healthz" || path == "/readyz") return {.body = "ok\n"};
+    if (const auto wanted = workers_asked_for(path)) {
+        const std::size_t here = status().workers.size();
+        return {here >= *wanted ? "200 OK" : "503 Service Unavailable",
+                fmt::format("{} workers of {}\n", here, *wanted)};
+    }
+    return {"404 Not Found", "there are /metrics, /healthz, /readyz and /readyz?workers=N\n"};
 }
 
 }  // namespace
@@ -87,6 +118,14 @@ std::string metrics_text(const Status& status) {
     add_each(out, status, "tessera_worker_overdue", "gauge", "1: has let a lease expire.",
              [](W w) { return int(w.overdue); });
     return out;
+}
+
+std::string http_answer(const std::string& head, const std::function<Status()>& status) {
+    const Answer answer = answer_to(path_of(head), status);
+    return fmt::format(
+        "HTTP/1.1 {}\r\nContent-Type: text/plain; version=0.0.4\r\nContent-Length: {}\r\n"
+        "Connection: close\r\n\r\n{}",
+        answer.code, answer.body.size(), answer.body);
 }
 
 MetricsEndpoint::MetricsEndpoint(asio::io_context& io, const std::string& listen,

@@ -1,5 +1,9 @@
-// What Prometheus wants to know, at a port of its own: GET /metrics answers in its text format
-// (version 0.0.4). No more HTTP than that takes.
+// What those who run a server want to know, at a port of its own. No more HTTP than that takes.
+//
+//   GET /metrics            for Prometheus, in its text format (version 0.0.4)
+//   GET /healthz            200 while the server answers at all
+//   GET /readyz             200 once it lets peers in; its scenes are loaded by then
+//   GET /readyz?workers=N   200 while it also has N workers; else 503
 #pragma once
 
 #include <functional>
@@ -11,6 +15,9 @@ namespace tessera {
 
 /// The status in Prometheus' text format.
 std::string metrics_text(const Status& status);
+
+/// The whole answer to a request that begins with this head.
+std::string http_answer(const std::string& head, const std::function<Status()>& status);
 
 /// Lives on the server's strand.
 class MetricsEndpoint {

@@ -78,6 +78,7 @@ asio::awaitable<void> hold_session(std::shared_ptr<Session> session, asio::await
         co_await std::move(run);
     } catch (const ProtocolError& error) {
         spdlog::warn("{} is dropped: it {}", session->description(), error.what());
+        session->dismiss(error.what());
     } catch (const boost::system::system_error& error) {
         spdlog::info("{} leaves: {}", session->description(), error.code().message());
     } catch (const std::exception& error) {
@@ -109,6 +110,9 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
 }
 
 void Server::add_scene(const std::string& name, const SceneBundle& bundle) {
+    if (const std::string objection = objection_to_scene(config_.limits, bundle);
+        !objection.empty())
+        throw UserError(fmt::format("{}: {}", name, objection));
     writer_->open_now(name, bundle);
 }
 
@@ -134,15 +138,32 @@ asio::awaitable<void> Server::accept_peers() {
             spdlog::error("cannot accept a connection: {}", error.message());
             asio::steady_timer pause(io_, accept_pause);
             co_await pause.async_wait(asio::use_awaitable);
-        } else if (strangers_ < config_.most_strangers) {
+        } else if (strangers_ < config_.limits.handshakes) {
             asio::co_spawn(io_, serve(std::move(socket)), asio::detached);
+        } else {
+            turn_away(std::move(socket));
         }
     }
 }
 
+/// Costs no memory and no wait. Who expects TLS takes being hung up on for the same.
+void Server::turn_away(tcp::socket socket) {
+    if (keys_) return;
+    const EncodedMessage words =
+        encode({Refused{fmt::format("the server is busy with {} newcomers; try again in a while "
+                                    "(--max-handshakes)",
+                                    config_.limits.handshakes)},
+                {}});
+    error_code ignored;
+    socket.non_blocking(true, ignored);
+    socket.write_some(asio::buffer(words.head), ignored);
+}
+
 /// One peer from its first byte to its last.
 asio::awaitable<void> Server::serve(tcp::socket socket) {
-    const auto connection = std::make_shared<Connection>(std::move(socket));
+    const auto connection = std::make_shared<Connection>(
+        std::move(socket), ConnectionConfig{},
+        FrameLimits{.message_bytes = max_hello_bytes, .payload_bytes = 0});
     const std::uint64_t peer = ++last_peer_;
     connections_[peer] = connection;
     ++strangers_;
@@ -154,6 +175,8 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
     }
     --strangers_;
     if (hello) {
+        connection->admit({.message_bytes = config_.limits.message_bytes,
+                           .option = "the server's --max-message"});
         connection->send({Welcome{peer, TESSERA_VERSION, scenes_.open_names()}, {}});
         if (hello->role == Role::worker) {
             const auto worker = std::make_shared<WorkerSession>(peer, *hello, connection);
@@ -161,7 +184,7 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
         } else {
             ++viewers_;
             const auto viewer = std::make_shared<ViewerSession>(
-                *hello, connection, may_edit(*hello), [this] { return status(); });
+                *hello, connection, may_edit(*hello), config_.limits, [this] { return status(); });
             co_await hold_session(viewer, viewer->run(farm_, scenes_, *writer_), farm_);
             --viewers_;
         }
@@ -179,8 +202,7 @@ asio::awaitable<Hello> Server::handshake(std::shared_ptr<Connection> connection)
     });
     const bool secured = keys_ && co_await connection->peer_begins_tls();
     if (secured) co_await connection->secure(*keys_->tls);
-    const Message message = co_await connection->receive(
-        config_.handshake_deadline, {.message_bytes = max_hello_bytes, .payload_bytes = 0});
+    const Message message = co_await connection->receive(config_.handshake_deadline);
     const auto* hello = message.get<Hello>();
     if (!hello) throw ProtocolError("does not say hello first");
     const std::string reason = keys_ && !secured
@@ -202,9 +224,9 @@ std::string Server::objection(const Hello& hello, const std::string& peer_name) 
             hello.protocol, hello.build, protocol_version, TESSERA_VERSION);
     if (const std::string reason = objection_to_token(hello, peer_name); !reason.empty())
         return reason;
-    if (connections_.size() - strangers_ >= config_.most_sessions)
-        return fmt::format("the server is full with {} sessions; try again later",
-                           config_.most_sessions);
+    if (connections_.size() - strangers_ >= config_.limits.sessions)
+        return fmt::format("the server is full with {} sessions; try again later (--max-sessions)",
+                           config_.limits.sessions);
     return {};
 }
 

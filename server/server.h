@@ -10,6 +10,7 @@
 #include <string>
 
 #include "common/keys.h"
+#include "server/limits.h"
 #include "server/metrics_endpoint.h"
 #include "server/render_farm.h"
 #include "server/scene_writer.h"
@@ -30,8 +31,7 @@ struct ServerConfig {
     unsigned fold_threads = 2;
     std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
     std::filesystem::path trace = {};  ///< file for the timeline of the last frame; empty: none
-    std::size_t most_sessions = 1024;  ///< workers and viewers together
-    std::size_t most_strangers = 64;   ///< connections before their handshake is over
+    Limits limits = {};
     std::chrono::milliseconds handshake_deadline{5000};
 };
 
@@ -42,7 +42,7 @@ public:
     Server(asio::io_context& io, const ServerConfig& config);
 
     /// A scene that every viewer may use; it takes the place of one of that name that is open
-    /// already. Before `start`. Throws UserError.
+    /// already. Before `start`. Throws UserError, also when it is beyond the limits.
     void add_scene(const std::string& name, const SceneBundle& bundle);
     bool holds_scene(const std::string& name) const { return scenes_.find_open(name) != nullptr; }
 
@@ -56,6 +56,7 @@ public:
 
 private:
     asio::awaitable<void> accept_peers();
+    void turn_away(tcp::socket socket);
     asio::awaitable<void> serve(tcp::socket socket);
     asio::awaitable<Hello> handshake(std::shared_ptr<Connection> connection);
     std::string objection(const Hello& hello, const std::string& peer_name) const;

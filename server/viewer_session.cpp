@@ -13,12 +13,8 @@
 namespace tessera {
 namespace {
 
-/// Frames that a viewer may have in flight; each costs memory for its passes.
-constexpr std::size_t most_frames = 16;
 /// Requests for blobs that may be answered at the same time.
 constexpr unsigned most_blob_requests = 16;
-/// Views of one viewer.
-constexpr std::size_t most_views = 16;
 /// Changes of one viewer that may wait for the journal: enough for a batch to be worth its while.
 constexpr std::size_t most_unwritten = 64;
 /// Pictures of views that may be under way: one being read while the next one travels.
@@ -60,11 +56,13 @@ BlobStore blobs_of(const SceneEdit& edit, std::span<const std::byte> payload) {
 }  // namespace
 
 ViewerSession::ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection,
-                             bool may_edit, std::function<Status()> status)
+                             bool may_edit, const Limits& limits, std::function<Status()> status)
     : description_(fmt::format("viewer {} at {}", hello.name, connection->remote_address())),
       connection_(std::move(connection)),
       may_edit_(may_edit),
+      limits_(limits),
       status_(std::move(status)),
+      receiver_({.blob_bytes = limits.session_bytes, .option = "the server's --max-session"}),
       news_(connection_->executor()),
       written_(connection_->executor()) {}
 
@@ -99,15 +97,25 @@ void ViewerSession::leave(RenderFarm& farm) {
     connection_->close();
     news_.cancel();
     for (const auto& [name, watched] : watched_) watched.scene->watchers.erase(this);
-    for (const auto& [request, view] : std::exchange(views_, {})) view->end();
-    for (const auto& [request, frame] : std::exchange(frames_, {})) farm.cancel_frame(frame);
+    for (const auto& [request, view] : std::exchange(views_, {})) view.live->end();
+    for (const auto& [request, asked] : std::exchange(frames_, {})) farm.cancel_frame(asked.frame);
     for (const auto& [name, scene] : scenes_)
         if (scene.use_count() == 1) farm.drop_scene(scene->now.name);
     scenes_.clear();
 }
 
+/// Pieces of what was asked for, and answers, are no requests.
+void ViewerSession::count(const Message& message) {
+    if (message.get<BlobChunk>() || message.get<SumsChunk>() || message.get<Pong>()) return;
+    if (!requests_.count(std::chrono::steady_clock::now(), limits_.requests))
+        throw ProtocolError(
+            fmt::format("makes more than {} requests in a second (the server's --max-requests)",
+                        limits_.requests));
+}
+
 void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
                            SceneWriter& writer) {
+    count(message);
     if (const auto* update = message.get<SceneUpdate>()) {
         if (!may_edit_)
             return fail(0, fmt::format("scene {} is not taken: this viewer's keys are to look, not "
@@ -153,6 +161,13 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
 
 void ViewerSession::publish_ready_scenes(RenderFarm& farm, SceneStore& store) {
     while (const std::optional<ReadyScene> ready = receiver_.take_ready()) {
+        const std::string objection =
+            objection_to_scene(limits_, {ready->scene->scene, ready->blobs});
+        if (!objection.empty()) {
+            receiver_.drop(ready->name);
+            fail(0, fmt::format("scene '{}' is not taken: {}", ready->name, objection));
+            continue;
+        }
         ScenePtr& held = scenes_[ready->name];
         const ScenePtr next = store.publish(held, *ready);
         const ScenePtr before = std::exchange(held, next);
@@ -234,9 +249,15 @@ void ViewerSession::send_blobs_of(const BlobRequest& request, SceneStore& store)
 void ViewerSession::show(const View& view, RenderFarm& farm, SceneStore& store) {
     const ScenePtr scene = store.find_open(view.spec.scene);
     if (!scene) return fail(view.request, no_open_scene(view.spec.scene, store));
-    if (!views_.contains(view.request) && views_.size() >= most_views)
-        return fail(view.request, fmt::format("more than {} views at once; end one", most_views));
-    std::shared_ptr<LiveView>& live = views_[view.request];
+    if (!views_.contains(view.request) && views_.size() >= limits_.frames)
+        return fail(view.request, fmt::format("more than {} views at once; end one (--max-frames)",
+                                              limits_.frames));
+    const auto before = views_.find(view.request);
+    const Shown replaced = before == views_.end() ? Shown{} : before->second;
+    if (const std::string objection = objection_to(view.spec, replaced.memory); !objection.empty())
+        return fail(view.request, objection);
+    auto& [live, memory] = views_[view.request];
+    memory = memory_of(view.spec);
     if (!live)
         live = std::make_shared<LiveView>(
             farm, [this] { news_.cancel(); },
@@ -247,7 +268,7 @@ void ViewerSession::show(const View& view, RenderFarm& farm, SceneStore& store) 
 void ViewerSession::end_view(std::uint64_t request) {
     const auto found = views_.find(request);
     if (found == views_.end()) return;
-    found->second->end();
+    found->second.live->end();
     views_.erase(found);
 }
 
@@ -266,7 +287,7 @@ std::optional<LivePicture> ViewerSession::next_picture() {
     for (std::size_t i = 0; i < views_.size(); ++i, ++view) {
         if (view == views_.end()) view = views_.begin();
         last_view_ = view->first;
-        if (auto picture = view->second->take()) return picture;
+        if (auto picture = view->second.live->take()) return picture;
     }
     return std::nullopt;
 }
@@ -348,7 +369,7 @@ void ViewerSession::save_frame(std::uint64_t request, RenderFarm& farm) {
     const auto found = frames_.find(request);
     if (found == frames_.end() || frames_.contains(saving_)) return;
     saving_ = request;
-    farm.save_frame(found->second, [weak = weak_from_this(), request](SavedFrame saved) {
+    farm.save_frame(found->second.frame, [weak = weak_from_this(), request](SavedFrame saved) {
         const auto self = weak.lock();
         if (!self) return;
         asio::co_spawn(self->connection_->executor(), self->send_sums(request, std::move(saved)),
@@ -378,6 +399,15 @@ asio::awaitable<void> ViewerSession::send_sums(std::uint64_t request, SavedFrame
     saving_ = 0;
 }
 
+std::string ViewerSession::objection_to(const FrameSpec& spec, std::uint64_t replaced) const {
+    if (const std::string objection = objection_to_size(limits_, spec.size); !objection.empty())
+        return objection;
+    std::uint64_t memory = receiver_.blobs().bytes() + memory_of(spec) - replaced;
+    for (const auto& [request, asked] : frames_) memory += asked.memory;
+    for (const auto& [request, shown] : views_) memory += shown.memory;
+    return objection_to_memory(limits_, memory);
+}
+
 void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, SceneStore& store,
                                 std::shared_ptr<FrameSums> sums) {
     const auto own = scenes_.find(request.spec.scene);
@@ -385,13 +415,17 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
     if (!scene) return fail(request.request, no_scene(request.spec.scene, store));
     if (frames_.contains(request.request))
         throw ProtocolError(fmt::format("uses request number {} twice", request.request));
-    if (frames_.size() >= most_frames)
+    if (frames_.size() >= limits_.frames)
         return fail(request.request, fmt::format("more than {} frames at once; wait for one to "
-                                                 "finish or cancel it",
-                                                 most_frames));
+                                                 "finish or cancel it (--max-frames)",
+                                                 limits_.frames));
+    if (const std::string objection = objection_to(request.spec, 0); !objection.empty())
+        return fail(request.request, objection);
     // The farm outlives the session, but a session that has ended hears nothing more.
     const auto weak = weak_from_this();
-    frames_[request.request] = farm.begin_frame(
+    Asked& asked = frames_[request.request];
+    asked.memory = memory_of(request.spec);
+    asked.frame = farm.begin_frame(
         request, scene->now,
         {.progress =
              [weak](const FrameProgress& progress) {
@@ -417,7 +451,7 @@ void ViewerSession::begin_frame(const FrameRequest& request, RenderFarm& farm, S
 void ViewerSession::cancel_frame(std::uint64_t request, RenderFarm& farm) {
     const auto found = frames_.find(request);
     if (found == frames_.end()) return;  // answered in the meantime
-    farm.cancel_frame(found->second);
+    farm.cancel_frame(found->second.frame);
     frames_.erase(found);
 }
 
@@ -428,7 +462,7 @@ void ViewerSession::fail(std::uint64_t request, const std::string& reason) {
 
 bool ViewerSession::wants(const FrameRequest& request) const {
     const auto found = frames_.find(request.request);
-    return found != frames_.end() && found->second == request.spec.frame;
+    return found != frames_.end() && found->second.frame == request.spec.frame;
 }
 
 asio::awaitable<void> ViewerSession::send_frame(FinishedFrame frame, asio::any_io_executor pool) {

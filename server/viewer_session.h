@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 
+#include "server/limits.h"
 #include "server/picture_parts.h"
 #include "server/render_farm.h"
 #include "server/scene_writer.h"
@@ -16,17 +17,23 @@ class ViewerSession : public std::enable_shared_from_this<ViewerSession> {
 public:
     /// `status` describes the whole server. Who may not edit uses the scenes that are there.
     ViewerSession(const Hello& hello, std::shared_ptr<Connection> connection, bool may_edit,
-                  std::function<Status()> status);
+                  const Limits& limits, std::function<Status()> status);
 
     /// Serves the viewer; throws ProtocolError or boost::system::system_error when that ends.
     asio::awaitable<void> run(RenderFarm& farm, SceneStore& store, SceneWriter& writer);
     /// To be called after `run`: ends the viewer's frames and gives up its scenes.
     void leave(RenderFarm& farm);
+    /// Closes, and tells the viewer why.
+    void dismiss(const std::string& reason) { connection_->dismiss(reason); }
 
     const std::string& description() const { return description_; }  ///< for logs
 
 private:
     void handle(Message message, RenderFarm& farm, SceneStore& store, SceneWriter& writer);
+    void count(const Message& message);
+    /// Why there shall be no such picture beside those that are under way, in the place of one that
+    /// has `replaced` bytes; else empty.
+    std::string objection_to(const FrameSpec& spec, std::uint64_t replaced) const;
     asio::awaitable<void> wait_for_writes(std::size_t most);
     void publish_ready_scenes(RenderFarm& farm, SceneStore& store);
     void share(const SceneShare& share, RenderFarm& farm, SceneWriter& writer);
@@ -62,19 +69,29 @@ private:
     std::string description_;
     std::shared_ptr<Connection> connection_;
     bool may_edit_;
+    Limits limits_;
     std::function<Status()> status_;
+    Rate requests_;
     SceneReceiver receiver_;
     std::map<std::string, ScenePtr> scenes_;  ///< uploaded, by the viewer's names
     std::map<std::string, Watched> watched_;
-    std::map<std::uint64_t, std::shared_ptr<LiveView>> views_;  ///< by the viewer's numbers
-    std::uint64_t last_view_ = 0;                               ///< whose picture was sent last
+    struct Shown {
+        std::shared_ptr<LiveView> live;
+        std::uint64_t memory = 0;
+    };
+    std::map<std::uint64_t, Shown> views_;  ///< by the viewer's numbers
+    std::uint64_t last_view_ = 0;           ///< whose picture was sent last
     std::uint64_t pictures_sent_ = 0;
     std::uint64_t pictures_read_ = 0;  ///< as far as the viewer has said
     asio::steady_timer news_;          ///< cancelled whenever there is something to tell
     std::size_t unwritten_ = 0;        ///< changes that are not in the journal yet
     asio::steady_timer written_;       ///< cancelled whenever there are fewer
     unsigned blob_requests_ = 0;       ///< being answered
-    std::map<std::uint64_t, std::uint64_t> frames_;  ///< requests not answered -> frame
+    struct Asked {
+        std::uint64_t frame = 0;
+        std::uint64_t memory = 0;
+    };
+    std::map<std::uint64_t, Asked> frames_;  ///< requests not answered
     /// A frame that goes on from sums which are still on their way.
     struct Resuming {
         FrameRequest request;

@@ -22,6 +22,8 @@ public:
     /// To be called after `run`.
     void leave(RenderFarm& farm);
     void close() { connection_->close(); }
+    /// Closes, and tells the worker why.
+    void dismiss(const std::string& reason) { connection_->dismiss(reason); }
 
     /// Sends what leads from the version it has to this one, unless it is there or on its way.
     /// The worker builds `tracer` with it. Returns whether an update was sent.

@@ -126,11 +126,31 @@ TEST(Connection, garbage_is_a_protocol_error) {
 
 TEST(Connection, a_stranger_gets_no_memory) {
     run_sockets([](tcp::socket a, tcp::socket b) -> asio::awaitable<void> {
-        const auto connection = std::make_shared<Connection>(std::move(a));
+        const auto connection = std::make_shared<Connection>(
+            std::move(a), ConnectionConfig{},
+            FrameLimits{.message_bytes = max_hello_bytes, .payload_bytes = 0});
         const auto header = encode(FrameHeader{.kind = 1, .message_bytes = max_hello_bytes + 1});
         co_await asio::async_write(b, asio::buffer(header), asio::use_awaitable);
-        const FrameLimits limits{.message_bytes = max_hello_bytes, .payload_bytes = 0};
-        EXPECT_THROW(co_await connection->receive({}, limits), ProtocolError);
+        EXPECT_THROW(co_await connection->receive(), ProtocolError);
+    });
+}
+
+TEST(Connection, who_was_let_in_hears_why_he_is_dropped) {
+    run_pair([](Pair pair) -> asio::awaitable<void> {
+        pair.a->admit({.message_bytes = 10, .payload_bytes = 100, .option = "--max-words"});
+        pair.b->send({TileTask{.frame = 1}, {}});
+        EXPECT_TRUE((co_await pair.a->receive()).get<TileTask>());
+        pair.b->send({Failure{.request = 0, .reason = std::string(20, 'x')}, {}});
+        // More than fits the buffers of a socket, so that the peer is still writing when it hears.
+        for (int i = 0; i < 100; ++i) pair.b->send_bulk(bulk(0, chunk_bytes));
+        EXPECT_THROW(co_await pair.a->receive(), ProtocolError);
+        EXPECT_FALSE(pair.a->open());
+        pair.a->close();
+        const Message last = co_await pair.b->receive();
+        const auto* refused = last.get<Refused>();
+        EXPECT_TRUE(refused);
+        if (!refused) co_return;
+        EXPECT_NE(refused->reason.find("--max-words"), std::string::npos) << refused->reason;
     });
 }
 

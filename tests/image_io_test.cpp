@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include "common/text_reader.h"
 #include "tests/scene_checks.h"
 #include "tests/temp_dir.h"
 
@@ -79,6 +80,54 @@ TEST(ImageIo, errors_name_the_file) {
     EXPECT_NE(
         user_error([&] { write_image(ramp(), dir.file("no") / "dir" / "a.exr"); }).find("a.exr"),
         std::string::npos);
+}
+
+/// The bytes of a file with every `from` replaced by `to`, of the same length.
+std::string with(std::string bytes, const std::string& from, const std::string& to) {
+    for (std::size_t at; (at = bytes.find(from)) != std::string::npos;)
+        bytes.replace(at, from.size(), to);
+    return bytes;
+}
+
+TEST(ImageIo, a_small_file_that_claims_to_be_huge_is_refused) {
+    const TempDir dir;
+    const ImageSize size{0x1234, 1};
+    write_image(Image(size, 3), dir.file("small.exr"));
+    // 100,000 x 100,000: in EXR the windows' last pixels, in PNG width and height.
+    const std::string exr =
+        with(read_file(dir.file("small.exr")), std::string("\x33\x12\0\0\0\0\0\0", 8),
+             std::string("\x9f\x86\x01\0\x9f\x86\x01\0", 8));
+    using namespace std::string_literals;
+    const std::string png =
+        "\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\x01\x86\xa0\0\x01\x86\xa0\x08\x02\0\0\0"s
+        "\x27\x30\x9c\x9f\0\0\0\x04IDAT\0\0\0\0\0\0\0\0"s;
+    for (const auto& [name, bytes] : {std::pair("bomb.exr", exr), std::pair("bomb.png", png)}) {
+        const auto file = dir.write(name, bytes);
+        for (const std::string& complaint :
+             {user_error([&] { read_image(file); }), user_error([&] { read_texture(file); }),
+              user_error([&] { decode_picture(std::as_bytes(std::span(bytes)), name); })}) {
+            EXPECT_NE(complaint.find(name), std::string::npos) << complaint;
+            // OpenEXR itself complains before: there are no lines.
+            if (name == std::string("bomb.png")) {
+                EXPECT_NE(complaint.find("100000x100000 pixels"), std::string::npos) << complaint;
+            }
+        }
+    }
+}
+
+TEST(ImageIo, formats_are_told_by_content) {
+    const TempDir dir;
+    const Image image = ramp();
+    for (const char* name :
+         {"a.exr", "a.hdr", "a.tif", "a.png", "a.jpg", "a.bmp", "a.tga", "a.ppm"}) {
+        write_image(image, dir.file(name));
+        EXPECT_EQ(read_image(dir.file(name)).size, image.size) << name;
+    }
+    std::filesystem::rename(dir.file("a.png"), dir.file("b.jpg"));
+    EXPECT_EQ(read_image(dir.file("b.jpg")).size, image.size);
+    dir.write("a.psd", "8BPS and more");
+    EXPECT_NE(user_error([&] { read_image(dir.file("a.psd")); }).find("unknown format"),
+              std::string::npos);
 }
 
 }  // namespace

@@ -70,6 +70,42 @@ TEST_F(KeysTest, only_those_of_one_authority_and_each_on_its_side_agree) {
     EXPECT_FALSE(agree(ours() / "worker", ours() / "viewer"));  // a worker that plays the server
 }
 
+TEST_F(KeysTest, a_server_that_hangs_up_is_busy_and_one_of_other_keys_a_stranger) {
+    asio::io_context io;
+    tcp::acceptor acceptor(io, {asio::ip::address_v4::loopback(), 0});
+    const std::string port = std::to_string(acceptor.local_endpoint().port());
+    const auto tls = std::make_shared<const Tls>(ours() / "viewer", Tls::Side::client);
+    const auto complaint = [&]() -> asio::awaitable<std::string> {
+        try {
+            co_await connect({"127.0.0.1", port}, tls);
+        } catch (const UserError& error) {
+            co_return error.what();
+        }
+        co_return "connected";
+    };
+    run(io, [&]() -> asio::awaitable<void> {
+        asio::co_spawn(
+            io,
+            [&]() -> asio::awaitable<void> { co_await acceptor.async_accept(asio::use_awaitable); },
+            asio::detached);
+        const std::string busy = co_await complaint();
+        EXPECT_NE(busy.find("busy"), std::string::npos) << busy;
+        EXPECT_EQ(busy.find("these keys"), std::string::npos) << busy;
+
+        const Tls other(theirs() / "server", Tls::Side::server);
+        asio::co_spawn(
+            io,
+            [&]() -> asio::awaitable<void> {
+                const auto peer = std::make_shared<Connection>(
+                    co_await acceptor.async_accept(asio::use_awaitable));
+                co_await peer->secure(other);
+            },
+            [](std::exception_ptr) {});
+        const std::string stranger = co_await complaint();
+        EXPECT_NE(stranger.find("these keys"), std::string::npos) << stranger;
+    });
+}
+
 TEST_F(KeysTest, messages_arrive_as_they_were_sent) {
     run_pair([&](Pair pair) -> asio::awaitable<void> {
         const Tls tls_of_server(ours() / "server", Tls::Side::server);

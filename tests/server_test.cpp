@@ -7,14 +7,17 @@
 #include <signal.h>
 #include <sys/resource.h>
 
+#include <array>
 #include <cstring>
 #include <fstream>
+#include <random>
 #include <regex>
 
 #include "common/check.h"
 #include "common/scene_sync.h"
 #include "tests/fake_answer.h"
 #include "tests/loopback.h"
+#include "tests/random_message.h"
 #include "tests/temp_dir.h"
 
 namespace tessera {
@@ -28,11 +31,12 @@ struct Host {
     Server server;
 
     explicit Host(const std::string& token = "", const std::filesystem::path& keys = {},
-                  const std::filesystem::path& journal = {})
+                  const std::filesystem::path& journal = {}, const Limits& limits = {})
         : server(io, {.listen = "127.0.0.1:0",
                       .keys = keys,
                       .token = token,
                       .journal = journal,
+                      .limits = limits,
                       .handshake_deadline = 200ms}) {
         server.start();
     }
@@ -438,6 +442,30 @@ TEST(Server, the_dashboard_shows_metrics_that_there_are) {
     EXPECT_GT(std::distance(begin, end), 10);
     for (auto name = begin; name != end; ++name)
         EXPECT_NE(text.find("# TYPE " + name->str() + " "), std::string::npos) << name->str();
+}
+
+TEST(Server, health_is_being_there_and_readiness_may_ask_for_workers) {
+    Status status;
+    const auto answer = [&](const std::string& path) {
+        return http_answer("GET " + path + " HTTP/1.1\r\n\r\n", [&] { return status; });
+    };
+    const auto says = [&](const std::string& path, const std::string& code) {
+        return answer(path).starts_with("HTTP/1.1 " + code);
+    };
+    EXPECT_TRUE(says("/healthz", "200"));
+    EXPECT_TRUE(says("/readyz", "200"));
+    EXPECT_TRUE(says("/readyz?workers=1", "503"));
+    status.workers.resize(2);
+    EXPECT_TRUE(says("/readyz?workers=2", "200"));
+    EXPECT_TRUE(says("/readyz?workers=3", "503"));
+    EXPECT_NE(answer("/readyz?workers=3").find("2 workers of 3"), std::string::npos);
+    EXPECT_TRUE(says("/readyz?workers=", "404"));
+    EXPECT_TRUE(says("/readyz?workers=99999999999", "404"));
+    EXPECT_TRUE(says("/metrics", "200"));
+    EXPECT_TRUE(says("/elsewhere", "404"));
+    EXPECT_TRUE(http_answer("POST /metrics HTTP/1.1\r\n\r\n", [&] {
+                    return status;
+                }).starts_with("HTTP/1.1 404"));
 }
 
 TEST(Server, dying_workers_do_not_change_a_bit) {
@@ -968,6 +996,220 @@ TEST(Server, a_viewer_that_does_not_keep_up_misses_pictures_and_delays_nobody) {
             told = message.get<Status>();
         }
         EXPECT_LE(pictures, 2);
+    });
+}
+
+// ---- Peers that break the protocol --------------------------------------------------------------
+
+/// A frame of any kind with a few bytes spoilt, cut off or lengthened.
+Bytes spoilt_frame(std::mt19937& random) {
+    Bytes frame =
+        flattened(encode(RandomMessage(unsigned(random())).make(random() % RandomMessage::kinds)));
+    if (random() % 4 == 0) frame.resize(1 + random() % frame.size());
+    for (unsigned i = 1 + random() % 4; i > 0; --i)
+        frame[random() % std::min<std::size_t>(frame.size(), random() % 2 ? 16 : frame.size())] =
+            std::byte(random());
+    return frame;
+}
+
+/// Sends it, let in or not, and waits until the server has hung up.
+asio::awaitable<void> vandal(Host& host, std::optional<Role> role, Bytes frame) {
+    const Address address = parse_address(host.server.address());
+    tcp::socket socket(host.io);
+    co_await socket.async_connect(
+        {asio::ip::make_address(address.host), std::uint16_t(std::stoi(address.port))},
+        asio::use_awaitable);
+    Bytes bytes = role ? flattened(encode({hello_of(*role), {}})) : Bytes{};
+    bytes.insert(bytes.end(), frame.begin(), frame.end());
+    boost::system::error_code error;
+    co_await asio::async_write(socket, asio::buffer(bytes),
+                               asio::redirect_error(asio::use_awaitable, error));
+    socket.shutdown(tcp::socket::shutdown_send, error);
+    std::array<std::byte, 4096> heard;
+    while (!error)
+        co_await socket.async_read_some(asio::buffer(heard),
+                                        asio::redirect_error(asio::use_awaitable, error));
+}
+
+TEST(Server, spoilt_frames_of_every_kind_do_not_change_a_bit_for_others) {
+    Host host;
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        co_await upload(viewer, small_scene(1));
+        start_worker(host);
+        std::mt19937 random(1);
+        for (int i = 0; i < 300; ++i) {
+            const Bytes frame = spoilt_frame(random);
+            const auto role = std::array{std::optional<Role>{}, std::optional(Role::viewer),
+                                         std::optional(Role::worker)}[i % 3];
+            co_await vandal(host, role, frame);
+            if (i % 50 != 0) continue;
+            const FrameRequest request = small_request(std::uint64_t(i) + 1);
+            expect_exact(co_await render(viewer, request), request.spec);
+        }
+        viewer->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(viewer);
+        EXPECT_EQ(status.get<Status>()->viewers, 1u);
+        EXPECT_EQ(status.get<Status>()->workers.size(), 1u);
+    });
+}
+
+// ---- Limits -------------------------------------------------------------------------------------
+
+using Peer = std::shared_ptr<Connection>;
+
+/// Runs `body(host, peer)` on a server with these limits; a bystander notices nothing.
+template <class Body>
+void run_limited(const Limits& limits, Body body) {
+    Host host("", {}, {}, limits);
+    host.run([&]() -> asio::awaitable<void> {
+        const auto bystander = co_await join(host, Role::viewer);
+        const auto peer = co_await join(host, Role::viewer);
+        co_await body(host, peer);
+        bystander->send({StatusRequest{}, {}});
+        const Message status = co_await receive<Status>(bystander);
+        EXPECT_TRUE(status.get<Status>());
+    });
+}
+
+void expect_names(const std::string& sentence, const std::string& option) {
+    EXPECT_NE(sentence.find(option), std::string::npos) << sentence;
+}
+
+/// The peer hears why it is dropped, and is.
+asio::awaitable<void> expect_dismissed(std::shared_ptr<Connection> peer, std::string option) {
+    const Message last = co_await receive<Refused>(peer);
+    expect_names(last.get<Refused>()->reason, option);
+    EXPECT_TRUE(co_await closes(peer));
+}
+
+/// What the server says to an uploaded scene: empty when it takes it.
+asio::awaitable<std::string> answer_to_scene(std::shared_ptr<Connection> peer, SceneBundle bundle) {
+    peer->send({SceneUpdate{"scene", diff({}, {.version = 1, .scene = bundle.scene})}, {}});
+    const Message request = co_await receive<BlobRequest>(peer);
+    co_await send_blobs(peer, bundle.blobs, request.get<BlobRequest>()->blobs);
+    for (;;) {
+        const Message answer = co_await peer->receive();
+        if (const auto* failure = answer.get<Failure>()) co_return failure->reason;
+        if (const auto* refused = answer.get<Refused>()) co_return refused->reason;
+        if (answer.get<SceneReady>()) co_return "";
+    }
+}
+
+SceneBundle textured_scene(std::uint32_t width, std::uint32_t height) {
+    SceneBundle bundle = small_scene(1);
+    add_texture(
+        bundle,
+        {.width = width, .height = height, .rgba = std::vector<std::uint8_t>(4 * width * height)});
+    return bundle;
+}
+
+TEST(Limits, of_a_picture) {
+    run_limited({.picture_pixels = 150 * 100}, [](Host& host, Peer peer) -> asio::awaitable<void> {
+        start_worker(host);
+        co_await upload(peer, small_scene(1));
+        FrameRequest request = small_request();
+        expect_exact(co_await render(peer, request), request.spec);
+        request.spec.size.width++;
+        const Picture wider = co_await render(peer, request);
+        expect_names(wider.failure, "--max-picture");
+    });
+}
+
+TEST(Limits, of_a_texture) {
+    const std::uint64_t bytes =
+        textured_scene(3, 4).blobs.find(textured_scene(3, 4).scene.textures[0])->size();
+    run_limited({.texture_bytes = bytes}, [](Host&, Peer peer) -> asio::awaitable<void> {
+        EXPECT_EQ(co_await answer_to_scene(peer, textured_scene(3, 4)), "");
+        expect_names(co_await answer_to_scene(peer, textured_scene(13, 1)), "--max-texture");
+        EXPECT_EQ(co_await answer_to_scene(peer, textured_scene(2, 6)), "");
+    });
+}
+
+TEST(Limits, of_a_scene) {
+    const SceneBundle bundle = small_scene(1);
+    run_limited(
+        {.scene_bytes = bundle.blobs.bytes()}, [&](Host& host, Peer peer) -> asio::awaitable<void> {
+            EXPECT_EQ(co_await answer_to_scene(peer, bundle), "");
+            expect_names(co_await answer_to_scene(peer, textured_scene(1, 1)), "--max-scene");
+            host.server.add_scene("loaded", bundle);
+            EXPECT_THROW(host.server.add_scene("large", textured_scene(1, 1)), UserError);
+        });
+}
+
+TEST(Limits, of_a_sessions_memory) {
+    const SceneBundle bundle = small_scene(1);
+    const FrameRequest request = small_request();
+    run_limited({.session_bytes = bundle.blobs.bytes() + memory_of(request.spec)},
+                [&](Host&, Peer peer) -> asio::awaitable<void> {
+                    co_await upload(peer, bundle);
+                    // Without workers the first waits.
+                    peer->send({request, {}});
+                    const Picture second = co_await render(peer, small_request(2));
+                    expect_names(second.failure, "--max-session");
+                });
+    run_limited({.session_bytes = bundle.blobs.bytes() - 1},
+                [&](Host&, Peer peer) -> asio::awaitable<void> {
+                    expect_names(co_await answer_to_scene(peer, bundle), "--max-session");
+                    EXPECT_TRUE(co_await closes(peer));
+                });
+}
+
+TEST(Limits, of_frames_at_a_time) {
+    run_limited({.frames = 2}, [](Host& host, Peer peer) -> asio::awaitable<void> {
+        co_await upload(peer, small_scene(1));
+        for (std::uint64_t i = 1; i <= 3; ++i) peer->send({small_request(i), {}});
+        const Message failure = co_await receive<Failure>(peer);
+        EXPECT_EQ(failure.get<Failure>()->request, 3u);
+        expect_names(failure.get<Failure>()->reason, "--max-frames");
+        start_worker(host);
+        auto received = co_await pictures(peer, 2);
+        for (std::uint64_t i = 1; i <= 2; ++i) expect_exact(received[i], small_request(i).spec);
+    });
+}
+
+TEST(Limits, of_a_message) {
+    const auto watch = [](std::size_t length) {
+        return Message{SceneWatch{std::string(length, 'x')}, {}};
+    };
+    const std::size_t size = encode(watch(100)).head.size() - frame_header_bytes;
+    run_limited({.message_bytes = std::uint32_t(size)},
+                [&](Host&, Peer peer) -> asio::awaitable<void> {
+                    peer->send(watch(100));
+                    const Message answer = co_await receive<Failure>(peer);
+                    EXPECT_TRUE(answer.get<Failure>());
+                    peer->send(watch(101));
+                    co_await expect_dismissed(peer, "--max-message");
+                });
+}
+
+TEST(Limits, of_requests_in_a_second) {
+    run_limited({.requests = 10}, [](Host&, Peer peer) -> asio::awaitable<void> {
+        for (int i = 0; i < 30; ++i) peer->send({StatusRequest{}, {}});
+        co_await expect_dismissed(peer, "--max-requests");
+    });
+    Rate rate;
+    const auto begin = Rate::Time{} + 1h;
+    for (int second = 0; second < 3; ++second)
+        for (int i = 0; i < 5; ++i) EXPECT_EQ(rate.count(begin + second * 1s + i * 9ms, 3), i < 3);
+}
+
+TEST(Limits, of_sessions) {
+    run_limited({.sessions = 2}, [](Host& host, Peer) -> asio::awaitable<void> {
+        const auto third = co_await say_hello(host, hello_of(Role::worker));
+        co_await expect_dismissed(third, "--max-sessions");
+    });
+}
+
+TEST(Limits, of_handshakes_in_progress) {
+    run_limited({.handshakes = 1}, [](Host& host, Peer) -> asio::awaitable<void> {
+        const Address address = parse_address(host.server.address());
+        const auto silent = co_await connect(address);
+        const auto second = co_await connect(address);
+        co_await expect_dismissed(second, "--max-handshakes");
+        // Patience with the silent one ends, and the door is open again.
+        EXPECT_TRUE(co_await closes(silent));
+        co_await join(host, Role::viewer);
     });
 }
 
