@@ -51,7 +51,6 @@ public:
     void kill_server();
     /// Starts it again, at the same address, once it has been killed.
     void start_server();
-    std::vector<std::string> with_keys(std::vector<std::string> arguments, const char* role) const;
 
     /// Throws UserError saying how it ended when the server, or every worker, has ended by itself.
     void check_alive();
@@ -64,6 +63,7 @@ private:
         std::optional<int> ended;  ///< wait status
     };
     Credentials credentials_of(const char* role) const;
+    std::vector<std::string> with_keys(std::vector<std::string> arguments, const char* role) const;
     pid_t spawn(const std::string& program, const std::vector<std::string>& arguments,
                 int stdout_fd);
     void reap();

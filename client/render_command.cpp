@@ -156,8 +156,16 @@ private:
     std::optional<Clock::time_point> idle_since_;
 };
 
+/// With its motion, which a contained reader does not tell, where that is needed.
+LoadedScene read_scene(const RenderOptions& options) {
+    if (options.animate.empty()) return load_contained(options.scene, options.environment);
+    LoadedScene loaded = load_scene(options.scene);
+    if (!options.environment.empty()) set_environment(loaded.bundle, options.environment);
+    return loaded;
+}
+
 LoadedScene load(const RenderOptions& options, ProgressBar& bar) {
-    const LoadedScene loaded = load_contained(options.scene, options.environment);
+    const LoadedScene loaded = read_scene(options);
     for (const std::string& note : loaded.notes) bar.note(note);
     if (!has_light(loaded.bundle.scene))
         bar.note("no light in the scene: the picture will be black");

@@ -15,8 +15,8 @@
 #include "client/local_cluster.h"
 #include "client/viewer.h"
 #include "common/check.h"
-#include "common/contained_load.h"
 #include "common/scene_bounds.h"
+#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -110,7 +110,7 @@ std::string open_scene(const ViewOptions& options, RenderClient& client, Motion&
         throw UserError("the server holds no scene: name one, a file or a generated scene");
     if (name.empty()) return open.front();
     if (std::find(open.begin(), open.end(), name) != open.end()) return name;
-    LoadedScene loaded = load_contained(options.scene);
+    LoadedScene loaded = load_scene(options.scene);
     for (const std::string& note : loaded.notes) fmt::print(stderr, "tessera: {}\n", note);
     client.upload_scene(name, loaded.bundle);
     client.share_scene(name);

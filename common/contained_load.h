@@ -20,9 +20,9 @@ struct LoadLimits {
     unsigned seconds = 600;                                ///< of CPU time, and twice that in all
 };
 
-/// As load_scene() and then, unless `environment` is empty, set_environment(). What needs no file
-/// needs no child. `program` is one whose main() begins with load_for_parent(). Throws UserError
-/// naming the file, also when the child crashes or exceeds its limits.
+/// As load_scene(), but for the motion, and then, unless `environment` is empty, set_environment().
+/// What needs no file needs no child. `program` is one whose main() begins with load_for_parent().
+/// Throws UserError naming the file, also when the child crashes or exceeds its limits.
 LoadedScene load_contained(const std::string& file_or_name, const std::string& environment = {},
                            const LoadLimits& limits = {},
                            const std::filesystem::path& program = "/proc/self/exe");
