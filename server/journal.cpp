@@ -108,12 +108,13 @@ struct Journal::State {
         std::uint64_t id = 0;
         std::uint64_t version = 0;
         LogSize size;
+        std::set<BlobId> blobs;  ///< that its versions since the snapshot name
     };
+    using Scenes = std::map<std::string, Kept>;
 
     std::string file;
     sqlite3* database = nullptr;
-    std::map<std::string, Kept> scenes;
-    std::set<BlobId> blobs;
+    Scenes scenes;
 
     explicit State(const std::filesystem::path& folder)
         : file((folder / "journal.sqlite").string()) {}
@@ -240,7 +241,10 @@ struct Journal::State {
         }
         kept.version = scene.version;
         ReadyScene out{.name = name, .scene = {}, .blobs = {}};
-        for (const BlobId& blob : blobs_of(scene.scene)) out.blobs.insert(read_blob(blob));
+        for (const BlobId& blob : blobs_of(scene.scene)) {
+            kept.blobs.insert(blob);
+            out.blobs.insert(read_blob(blob));
+        }
         out.scene = std::make_shared<const SceneVersion>(std::move(scene));
         return out;
     }
@@ -256,7 +260,6 @@ struct Journal::State {
     }
 
     Bytes read_blob(const BlobId& id) {
-        blobs.insert(id);
         Statement query(database, "SELECT bytes FROM blob WHERE digest = ? ORDER BY part");
         query.bind(1, std::as_bytes(std::span(id.digest)));
         Bytes bytes;
@@ -270,35 +273,35 @@ struct Journal::State {
         return bytes;
     }
 
+    static bool is_named(const Scenes& by, const BlobId& id) {
+        return std::ranges::any_of(by, [&](const auto& s) { return s.second.blobs.contains(id); });
+    }
+
     /// Those of versions that are no longer kept.
     std::vector<BlobId> unused_blobs() {
         std::vector<BlobId> unused;
         Statement query(database, "SELECT DISTINCT digest FROM blob");
         while (query.step())
-            if (const BlobId id = digest_of(query.bytes(0)); !blobs.contains(id))
+            if (const BlobId id = digest_of(query.bytes(0)); !is_named(scenes, id))
                 unused.push_back(id);
         return unused;
     }
     void drop_unused_blobs() {
-        const std::vector<BlobId> unused = unused_blobs();
+        for (const BlobId& id : unused_blobs()) drop_blob(id);
+    }
+    void drop_blob(const BlobId& id) {
         Statement drop(database, "DELETE FROM blob WHERE digest = ?");
-        for (const BlobId& id : unused) drop.bind(1, std::as_bytes(std::span(id.digest))).run();
+        drop.bind(1, std::as_bytes(std::span(id.digest))).run();
     }
 
     // ---- Writing ----
 
     void commit(std::span<const SceneChange> changes) {
-        std::map<std::string, Kept> scenes_then = scenes;
-        std::set<BlobId> blobs_then = blobs;
+        Scenes scenes_then = scenes;
         exec("BEGIN IMMEDIATE");
-        for (const SceneChange& change : changes) {
-            for (const BlobId& id : blobs_of(change.after->scene))
-                if (blobs_then.insert(id).second) write_blob(id, *change.blobs.find(id));
-            write_change(change, scenes_then);
-        }
+        for (const SceneChange& change : changes) write_change(change, scenes_then);
         exec("COMMIT");
         scenes = std::move(scenes_then);
-        blobs = std::move(blobs_then);
     }
 
     void write_blob(const BlobId& id, const Bytes& blob) {
@@ -312,10 +315,15 @@ struct Journal::State {
         }
     }
 
-    void write_change(const SceneChange& change, std::map<std::string, Kept>& kept_scenes) {
+    void write_change(const SceneChange& change, Scenes& kept_scenes) {
         const auto [found, added] = kept_scenes.try_emplace(change.scene);
         Kept& kept = found->second;
         if (added) kept.id = add_scene(change.scene);
+        const std::vector<BlobId> named = blobs_of(change.after->scene);
+        for (const BlobId& id : named) {
+            if (!is_named(kept_scenes, id)) write_blob(id, *change.blobs.find(id));
+            kept.blobs.insert(id);
+        }
         Bytes record;
         bool snapshot = !change.before;
         if (!snapshot) {
@@ -327,6 +335,8 @@ struct Journal::State {
             record = encode_record(change.scene, diff(SceneVersion{}, *change.after));
             Statement(database, "DELETE FROM record WHERE scene = ?").bind(1, kept.id).run();
             kept.size = {};
+            for (const BlobId& id : std::exchange(kept.blobs, {named.begin(), named.end()}))
+                if (!is_named(kept_scenes, id)) drop_blob(id);
         }
         count(kept.size, record.size());
         kept.version = change.after->version;

@@ -141,6 +141,35 @@ TEST(Journal, does_not_grow_without_end) {
     expect_restored(dir.file("j"), scenes);
 }
 
+TEST(Journal, meshes_that_come_and_go_take_no_room_for_ever) {
+    const TempDir dir;
+    Scenes scenes;
+    constexpr int edits = 200;
+    constexpr std::size_t vertices = 500;
+    {
+        Journal journal(dir.file("j"));
+        commit(journal, {scenes.add("a")});
+        for (int i = 0; i < edits; ++i) {
+            SceneChange change = scenes.edits("a", 50);
+            Mesh mesh;
+            mesh.positions.resize(vertices, vec3(float(i)));
+            mesh.triangles = {{0, 1, 2}};
+            SceneBundle bundle;
+            SceneVersion after = *change.after;
+            add_mesh(bundle, mesh);
+            after.scene.meshes = bundle.scene.meshes;
+            scenes.now["a"].scene = std::make_shared<const SceneVersion>(after);
+            scenes.now["a"].blobs = bundle.blobs;
+            change.after = scenes.now["a"].scene;
+            change.blobs = bundle.blobs;
+            commit(journal, {change});
+        }
+    }
+    EXPECT_LT(std::filesystem::file_size(dir.file("j") / "journal.sqlite"),
+              edits * vertices * sizeof(vec3) / 2);
+    expect_restored(dir.file("j"), scenes);
+}
+
 TEST(Journal, one_server_each) {
     const TempDir dir;
     const Journal journal(dir.file("j"));
