@@ -343,11 +343,14 @@ void ViewerSession::expect_sums(const FrameRequest& request) {
     if (request.sums_bytes != FrameSums::saved_bytes(request.spec))
         throw ProtocolError(fmt::format("announces {} bytes of sums for a frame that has {}",
                                         request.sums_bytes, FrameSums::saved_bytes(request.spec)));
+    if (const std::string objection = objection_to(request.spec, 0); !objection.empty())
+        return fail(request.request, objection);
     resuming_ = {.request = request, .sums = {}};
 }
 
 void ViewerSession::add_sums(const SumsChunk& chunk, std::span<const std::byte> bytes) {
-    if (!resuming_ || chunk.request != resuming_->request.request ||
+    if (!resuming_) return;  // of a frame that was refused
+    if (chunk.request != resuming_->request.request ||
         chunk.total != resuming_->request.sums_bytes || chunk.offset != resuming_->sums.size())
         throw ProtocolError("sends sums that no frame waits for");
     resuming_->sums.insert(resuming_->sums.end(), bytes.begin(), bytes.end());
