@@ -101,7 +101,9 @@ TEST(ImageIo, a_small_file_that_claims_to_be_huge_is_refused) {
     const std::string png =
         "\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\x01\x86\xa0\0\x01\x86\xa0\x08\x02\0\0\0"s
         "\x27\x30\x9c\x9f\0\0\0\x04IDAT\0\0\0\0\0\0\0\0"s;
-    for (const auto& [name, bytes] : {std::pair("bomb.exr", exr), std::pair("bomb.png", png)}) {
+    for (const auto& bomb : {std::pair("bomb.exr", exr), std::pair("bomb.png", png)}) {
+        const auto& name = bomb.first;  // clang 14 captures no structured bindings
+        const auto& bytes = bomb.second;
         const auto file = dir.write(name, bytes);
         for (const std::string& complaint :
              {user_error([&] { read_image(file); }), user_error([&] { read_texture(file); }),
