@@ -153,7 +153,7 @@ TEST(Animate, WhatIsNotThereIsLeftOut) {
     bundle.motion.cameras = {{"lost", 1}};
     const MotionEdits edits = edits_at(bundle.scene, bundle.motion, 1);
     EXPECT_EQ(edits.operations.size(), 1u);
-    const Instance& hand = bundle_at(bundle, 1).scene.instances[0];
+    const Instance hand = bundle_at(bundle, 1).scene.instances[0];
     EXPECT_NEAR(length(vec3(hand.world_from_object[3]) - vec3(0, 3, 0)), 0, 1e-5f);
     EXPECT_TRUE(hand.moves);
 }

@@ -62,6 +62,7 @@ HWY_INLINE auto unit_lanes(Word reversed, std::uint32_t shift) {
 void make_points(const std::uint32_t* indices, std::size_t count, std::uint32_t seed,
                  std::uint32_t round, std::uint32_t pairs, vec2* points) {
     constexpr hn::RebindToFloat<decltype(tag)> floats;
+    static_assert(hn::MaxLanes(tag) <= SampleTable::most_lanes);
     const std::size_t lanes = hn::Lanes(tag);
     for (std::uint32_t pair = 0; pair < pairs; ++pair) {
         const std::uint32_t s = hash(seed, pair);
@@ -96,7 +97,6 @@ SampleTable::SampleTable(std::vector<std::uint32_t> indices, std::uint32_t seed,
       round_(round),
       pairs_(pairs),
       points_(indices_.size() * pairs) {
-    constexpr std::size_t most_lanes = HWY_MAX_BYTES / sizeof(std::uint32_t);
     const std::size_t count = indices_.size();
     indices_.resize(count + most_lanes);
     HWY_DYNAMIC_DISPATCH(make_points)(indices_.data(), count, seed, round, pairs, points_.data());

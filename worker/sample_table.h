@@ -10,6 +10,9 @@ namespace tessera {
 /// at hand. Outlives the samplers that it hands out.
 class SampleTable {
 public:
+    /// Of a vector of any instruction set: indices are read by whole vectors.
+    static constexpr std::size_t most_lanes = 16;
+
     SampleTable(std::vector<std::uint32_t> indices, std::uint32_t seed, std::uint32_t round,
                 std::uint32_t pairs);
 
