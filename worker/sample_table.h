@@ -1,5 +1,4 @@
-// The first points of many samplers, made together in SIMD: a seventh of what a pixel cost went
-// into making them one by one.
+// The first points of many samplers, made together in SIMD.
 #pragma once
 
 #include "worker/sampling.h"
