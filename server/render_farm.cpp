@@ -178,6 +178,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
                        fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
                                    answer == Answer::first ? "" : ", not needed"),
                        duration_of(result.seconds), now);
+    worker.busy_seconds += result.seconds;
     if (answer == Answer::first) {
         CHECK(job.assembler.add(result) == Arrival::stored);
         ++worker.tiles;
@@ -230,7 +231,8 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
                        .prefetch = pace.limit,
                        .task_seconds = pace.task_seconds,
                        .memory_bytes = worker->memory_bytes(),
-                       .overdue = pace.overdue});
+                       .overdue = pace.overdue,
+                       .busy_seconds = worker->busy_seconds});
     }
     return out;
 }
