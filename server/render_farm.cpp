@@ -54,12 +54,12 @@ struct RenderFarm::Job {
     std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
 
     Job(const asio::any_io_executor& strand, const FrameRequest& r, const ReadyScene& s,
-        FrameObserver o, std::shared_ptr<FrameSums> begun)
+        FrameObserver o, std::shared_ptr<FrameSums> begun, std::shared_ptr<BufferPool> buffers)
         : request(r),
           scene(s),
           observer(std::move(o)),
           sums(begun ? std::move(begun) : std::make_shared<FrameSums>(r.spec)),
-          assembler(r.spec, sums->runs()),
+          assembler(r.spec, sums->runs(), std::move(buffers)),
           report_timer(strand) {}
 
     std::uint64_t frame() const { return request.spec.frame; }
@@ -99,8 +99,8 @@ std::uint64_t RenderFarm::begin_frame(const FrameRequest& request, const ReadySc
     numbered.spec.frame = ++last_frame_;
     numbered.spec.scene = scene.name;
     numbered.spec.version = scene.scene->version;
-    auto job =
-        std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums));
+    auto job = std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums),
+                                     buffers_);
     Job& begun = *job;
     begun.error_estimate = begun.sums->error_estimate();
     jobs_[last_frame_] = std::move(job);
@@ -164,33 +164,41 @@ void RenderFarm::frame_failed(WorkerSession& worker, std::uint64_t frame,
     pump();
 }
 
-void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
-    const auto found = jobs_.find(result.task.frame);
-    if (found == jobs_.end()) return;  // cancelled while the worker was at it
-    Job& job = *found->second;
-    if (!job.assembler.fits(result))
-        throw ProtocolError(
-            fmt::format("answers with a tile that is none of frame {}", result.task.frame));
+void RenderFarm::tile_results(WorkerSession& worker, const TileResults& results,
+                              std::span<const std::byte> pixels) {
     const auto now = Clock::now();
-    const Answer answer = scheduler_.completed(worker.id(), result.task, now, result.seconds);
-    if (job.trace)
-        job.trace->add(worker.name(), worker.threads(),
-                       fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
-                                   answer == Answer::first ? "" : ", not needed"),
-                       duration_of(result.seconds), now);
-    if (answer == Answer::first) {
-        CHECK(job.assembler.add(result) == Arrival::stored);
-        ++worker.tiles;
-        worker.rays += result.rays;
-        job.rays += result.rays;
-        job.sanitised += result.sanitised;
-        WorkerShare& share = job.shares[worker.id()];
-        ++share.tiles;
-        share.rays += result.rays;
-        fold_next(job);
+    for (const TileReport& tile : results.tiles) {
+        tile_result(worker, tile, pixels.first(tile.pixel_bytes), now);
+        pixels = pixels.subspan(tile.pixel_bytes);
     }
     let_go_if_done(worker);
     pump_soon();
+}
+
+void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
+                             std::span<const std::byte> pixels, TimePoint now) {
+    const auto found = jobs_.find(tile.task.frame);
+    if (found == jobs_.end()) return;  // cancelled while the worker was at it
+    Job& job = *found->second;
+    if (!job.assembler.fits(tile.task, pixels))
+        throw ProtocolError(
+            fmt::format("answers with a tile that is none of frame {}", tile.task.frame));
+    const Answer answer = scheduler_.completed(worker.id(), tile.task, now, tile.seconds);
+    if (job.trace)
+        job.trace->add(worker.name(), worker.threads(),
+                       fmt::format("tile {}, pass {}{}", tile.task.tile, tile.task.first_pass,
+                                   answer == Answer::first ? "" : ", not needed"),
+                       duration_of(tile.seconds), now);
+    if (answer != Answer::first) return;
+    CHECK(job.assembler.add(tile.task, pixels) == Arrival::stored);
+    ++worker.tiles;
+    worker.rays += tile.rays;
+    job.rays += tile.rays;
+    job.sanitised += tile.sanitised;
+    WorkerShare& share = job.shares[worker.id()];
+    ++share.tiles;
+    share.rays += tile.rays;
+    fold_next(job);
 }
 
 void RenderFarm::retire(WorkerSession& worker) {
@@ -247,6 +255,7 @@ void RenderFarm::pump_soon() {
 void RenderFarm::pump() {
     pump_is_due_ = false;
     const auto now = Clock::now();
+    std::vector<WorkerSession*> served;
     for (const auto& [worker, task] : scheduler_.assign(now)) {
         Job& job = *jobs_.at(task.frame);
         if (!job.started) {
@@ -258,8 +267,9 @@ void RenderFarm::pump() {
             share->second.name = session.name();
             share->second.threads = session.threads();
         }
-        session.hand_out(job.request.spec, task);
+        if (session.hand_out(job.request.spec, task)) served.push_back(&session);
     }
+    for (WorkerSession* session : served) session->send_tasks();
     arm_timer();
 }
 
