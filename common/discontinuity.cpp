@@ -35,10 +35,10 @@ public:
         : pass_(pass),
           rect_(rect),
           reach_(filter.window / 2),
-          blocks_((std::size_t(rect.width()) + block_pixels - 1) / block_pixels),
           rays_(filter.camera, filter.picture) {
+        const std::size_t blocks = (std::size_t(rect.width()) + block_pixels - 1) / block_pixels;
         for (int i = 0; i < filter.window; ++i)
-            ring_.emplace_back(blocks_ * block_pixels + 2 * std::size_t(reach_));
+            ring_.emplace_back(blocks * block_pixels + 2 * std::size_t(reach_));
         window_ = {.rows = std::vector<const GuideRow*>(ring_.size()),
                    .reach = std::size_t(reach_),
                    .cosine = filter.normal_cosine,
@@ -74,7 +74,6 @@ private:
     const PassView& pass_;
     const Rect rect_;
     const int reach_;
-    const std::size_t blocks_;  // across
     const EyeRays rays_;
     std::vector<GuideRow> ring_;
     FilterWindow window_;
@@ -97,7 +96,6 @@ void RectFilter::prepare(int y) {
                          .corner = rays_.corner + float(y) * rays_.down,
                          .across = rays_.across};
     prepare_row(pixels, std::size_t(x0 - rect_.x0 + reach_), out);
-    find_parts(out, std::size_t(reach_), blocks_);
 }
 
 }  // namespace

@@ -1,7 +1,5 @@
 #include "common/filter_block.h"
 
-#include <bit>
-
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_AVX3_DL)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "common/filter_block.cpp"
@@ -46,25 +44,6 @@ HWY_INLINE Mask same_surface(const Pixels& p, const GuideRow& q, std::size_t at,
     return hn::And(hn::And(same, near), alike >= hn::Set(tag, cosine));
 }
 
-/// Which taps of a row the pixels of a block accept.
-enum class Taps : std::uint8_t { none, all, some };
-
-Taps taps_of(const GuideRow& own, const GuideRow& other, const FilterWindow& window,
-             std::size_t block) {
-    if (own.parts.empty() || other.parts.empty()) return Taps::some;
-    const RowPart &p = own.parts[block], &q = other.parts[block];
-    if (!p.one_surface || !q.one_surface) return Taps::some;
-    if (p.surface != q.surface) return Taps::none;
-    if (!p.one_plane || !q.one_plane || !std::equal(p.normal, p.normal + 3, q.normal))
-        return Taps::some;
-    const float alike =
-        p.normal[0] * p.normal[0] + p.normal[1] * p.normal[1] + p.normal[2] * p.normal[2];
-    // Rounding keeps the order, so that no tap differs more than these.
-    const float height = std::max(q.highest - p.lowest, p.highest - q.lowest);
-    const bool near = height <= window.plane_tolerance * p.nearest;
-    return near && alike >= window.cosine ? Taps::all : Taps::some;
-}
-
 void filter_lanes(const FilterWindow& window, std::size_t x, float* out) {
     const std::size_t reach = window.reach, here = x + reach;
     const GuideRow& own = *window.rows[reach];
@@ -79,14 +58,6 @@ void filter_lanes(const FilterWindow& window, std::size_t x, float* out) {
     Float sums[3] = {hn::Zero(tag), hn::Zero(tag), hn::Zero(tag)}, count = hn::Zero(tag);
     for (std::size_t row = 0; row <= 2 * reach; ++row) {
         const GuideRow& q = *window.rows[row];
-        const Taps taps = taps_of(own, q, window, x / block_pixels);
-        if (taps == Taps::none) continue;
-        if (taps == Taps::all) {
-            for (std::size_t at = x; at <= x + 2 * reach; ++at)
-                for (int k = 0; k < 3; ++k) sums[k] = sums[k] + load(q, red + k, at);
-            count = count + hn::Set(tag, float(2 * reach + 1));
-            continue;
-        }
         for (std::size_t column = 0; column <= 2 * reach; ++column) {
             const std::size_t at = x + column;
             Mask accepted = hn::MaskFromVec(load(q, valid, at));
@@ -157,42 +128,6 @@ void prepare_all_lanes(const PassRow& pixels, std::size_t at, GuideRow& out) {
     if (whole < pixels.count) prepare_last(pixels, whole, at + whole, out);
 }
 
-RowPart part_of_row(const GuideRow& row, std::size_t begin, std::size_t end) {
-    const Float s = hn::Set(tag, row[surface][begin]);
-    const Float n[3] = {hn::Set(tag, row[nx][begin]), hn::Set(tag, row[ny][begin]),
-                        hn::Set(tag, row[nz][begin])};
-    Float lowest = hn::Set(tag, row[plane][begin]), highest = lowest;
-    Float nearest = hn::Set(tag, row[depth][begin]);
-    constexpr hn::RebindToUnsigned<decltype(tag)> bits;
-    bool one_surface = true;
-    Mask one_plane = hn::MaskFromVec(load(row, valid, begin));
-    for (std::size_t i = begin; i < end; i += hn::Lanes(tag)) {
-        const std::size_t at = std::min(i, end - hn::Lanes(tag));
-        one_surface = one_surface && hn::AllTrue(bits, hn::BitCast(bits, load(row, surface, at)) ==
-                                                           hn::BitCast(bits, s));
-        one_plane = hn::And(one_plane, hn::MaskFromVec(load(row, valid, at)));
-        for (int k = 0; k < 3; ++k) one_plane = hn::And(one_plane, load(row, nx + k, at) == n[k]);
-        const Float h = load(row, plane, at);
-        one_plane = hn::And(one_plane, h == h);  // a number
-        lowest = hn::Min(lowest, h);
-        highest = hn::Max(highest, h);
-        nearest = hn::Min(nearest, load(row, depth, at));
-    }
-    return {.one_surface = one_surface,
-            .one_plane = one_surface && hn::AllTrue(tag, one_plane),
-            .surface = std::bit_cast<std::uint32_t>(row[surface][begin]),
-            .normal = {row[nx][begin], row[ny][begin], row[nz][begin]},
-            .lowest = hn::GetLane(hn::MinOfLanes(tag, lowest)),
-            .highest = hn::GetLane(hn::MaxOfLanes(tag, highest)),
-            .nearest = hn::GetLane(hn::MinOfLanes(tag, nearest))};
-}
-
-void find_all_parts(GuideRow& row, std::size_t reach, std::size_t blocks) {
-    row.parts.resize(blocks);
-    for (std::size_t b = 0; b < blocks; ++b)
-        row.parts[b] = part_of_row(row, b * block_pixels, (b + 1) * block_pixels + 2 * reach);
-}
-
 }  // namespace HWY_NAMESPACE
 }  // namespace tessera
 HWY_AFTER_NAMESPACE();
@@ -202,7 +137,6 @@ namespace tessera {
 
 HWY_EXPORT(filter_all_lanes);
 HWY_EXPORT(prepare_all_lanes);
-HWY_EXPORT(find_all_parts);
 
 void filter_block(const FilterWindow& window, std::size_t x, float (&out)[3 * block_pixels]) {
     HWY_DYNAMIC_DISPATCH(filter_all_lanes)(window, x, out);
@@ -210,10 +144,6 @@ void filter_block(const FilterWindow& window, std::size_t x, float (&out)[3 * bl
 
 void prepare_row(const PassRow& pixels, std::size_t at, GuideRow& out) {
     HWY_DYNAMIC_DISPATCH(prepare_all_lanes)(pixels, at, out);
-}
-
-void find_parts(GuideRow& row, std::size_t reach, std::size_t blocks) {
-    HWY_DYNAMIC_DISPATCH(find_all_parts)(row, reach, blocks);
 }
 
 }  // namespace tessera

@@ -1,12 +1,10 @@
 // The inner loop of the discontinuity filter (common/discontinuity.h), compiled by Google Highway
 // for each instruction set: the sums of a block of pixels stay in registers while the window is
-// added. Where all that a block's window touches in a row lies in one plane, or on another surface,
-// its taps need no tests: they would all be accepted, or none, so that the sums are the same bits.
+// added.
 #pragma once
 
 #include <algorithm>
 #include <cstddef>
-#include <cstdint>
 #include <vector>
 
 #include "common/math.h"
@@ -14,16 +12,6 @@
 namespace tessera {
 
 inline constexpr std::size_t block_pixels = 16;
-
-/// What the pixels of a row have in common that the window of a block touches.
-struct RowPart {
-    bool one_surface = false;  ///< all show the surface of this number,
-    bool one_plane = false;    ///< and with this normal, and all are valid
-    std::uint32_t surface = 0;
-    float normal[3] = {};
-    float lowest = 0, highest = 0;  ///< of their planes
-    float nearest = 0;              ///< of their depths
-};
 
 /// What is known of the pixels of a row.
 class GuideRow {
@@ -52,12 +40,7 @@ public:
     float* operator[](Guide guide) { return &values_[guide * width_]; }
     const float* operator[](Guide guide) const { return &values_[guide * width_]; }
     /// Of no pixel is anything known.
-    void forget() {
-        std::fill_n((*this)[valid], width_, 0.0f);
-        parts.clear();
-    }
-
-    std::vector<RowPart> parts;  ///< block by block; empty: nothing is known
+    void forget() { std::fill_n((*this)[valid], width_, 0.0f); }
 
 private:
     std::size_t width_;
@@ -87,10 +70,6 @@ struct PassRow {
 
 /// Fills `out` from `at` with the pixels.
 void prepare_row(const PassRow& pixels, std::size_t at, GuideRow& out);
-
-/// Finds what the pixels of `row` have in common, for `blocks` blocks with `reach` pixels to each
-/// side.
-void find_parts(GuideRow& row, std::size_t reach, std::size_t blocks);
 
 /// Sets `out` to the filtered irradiance of the pixels from x; all of them must be in the rows.
 /// In one plane is what keeps within plane_tolerance of it, or differs in depth by no more than the
