@@ -57,7 +57,7 @@ struct ClusterBenchRow {
     Percentiles first, final;
     double server_cpu_s_per_tile = 0;
     double bytes_to_viewer = 0;     ///< per frame, of one viewer
-    double bytes_from_workers = 0;  ///< per frame; of real workers, pixels only
+    double bytes_from_workers = 0;  ///< per frame; of real workers, pixels before packing
     std::optional<double> bytes_to_workers;
     std::uint64_t wrong_pixels = 0;
     std::vector<FaultReport> faults;

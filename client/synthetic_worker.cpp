@@ -16,15 +16,19 @@ namespace {
 
 /// Floats from which all tiles take their pixels: more than the caches nearest to a core hold.
 constexpr std::size_t noise_floats = 1u << 18;
+/// A message with as many bytes of pixels gets no more tiles.
+constexpr std::size_t enough_bytes = 64u << 10;
+/// Begins a channel without a palette (common/tile_codec.h).
+constexpr std::byte plain_channel{32};
 
-using Noise = std::shared_ptr<const std::vector<float>>;
+using Noise = std::vector<float>;
 
-Noise make_noise() {
+std::shared_ptr<const Noise> make_noise() {
     std::mt19937 random(1);
     std::uniform_real_distribution<float> uniform(0, 1);
-    std::vector<float> noise(noise_floats);
+    Noise noise(noise_floats);
     for (float& value : noise) value = uniform(random);
-    return std::make_shared<const std::vector<float>>(std::move(noise));
+    return std::make_shared<const Noise>(std::move(noise));
 }
 
 /// What a tile takes, in units of the mean; the same in every frame.
@@ -33,20 +37,29 @@ double cost_of(const TileTask& task, double spread) {
     return std::lognormal_distribution<>(-spread * spread / 2, spread)(random);
 }
 
-/// Pixels that depend on the task alone, and not on the number of the frame.
-Payload pixels_of(const FrameSpec& spec, const TileTask& task, const Noise& noise) {
-    const std::size_t floats = tile_rect(spec.size, task.tile).pixels() *
-                               std::size_t(floats_per_pixel(tile_channels(spec)));
-    const std::size_t offset =
-        (task.tile * 769u + task.first_pass * 131u) % (noise->size() - floats + 1);
-    return {noise, std::as_bytes(std::span(*noise).subspan(offset, floats))};
+/// Appends pixels that depend on the task alone, and not on the number of the frame; packed, but no
+/// smaller for it.
+std::uint32_t append_pixels(const FrameSpec& spec, const TileTask& task, const Noise& noise,
+                            Bytes& out) {
+    const std::size_t pixels = tile_rect(spec.size, task.tile).pixels();
+    const std::size_t begin = out.size();
+    std::size_t from = (task.tile * 769u + task.first_pass * 131u) % (noise.size() / 2);
+    for (int c = 0; c < channel_count; ++c) {
+        if (!tile_channels(spec).has(Channel(c))) continue;
+        const auto values = std::as_bytes(
+            std::span(noise).subspan(from, pixels * std::size_t(floats_per_pixel(Channel(c)))));
+        out.push_back(plain_channel);
+        out.insert(out.end(), values.begin(), values.end());
+        from += values.size() / sizeof(float);
+    }
+    return std::uint32_t(out.size() - begin);
 }
 
 }  // namespace
 
 class SyntheticWorkers::Worker : public std::enable_shared_from_this<Worker> {
 public:
-    Worker(const SyntheticConfig& config, int number, Noise noise)
+    Worker(const SyntheticConfig& config, int number, std::shared_ptr<const Noise> noise)
         : config_(config), number_(number), noise_(std::move(noise)), idle_(config.threads) {}
 
     asio::awaitable<void> run() {
@@ -74,9 +87,10 @@ public:
 
 private:
     void handle(const Message& message) {
-        if (const auto* task = message.get<TileTask>()) {
-            waiting_.push_back(*task);
+        if (const auto* tasks = message.get<TileTasks>()) {
+            waiting_.insert(waiting_.end(), tasks->tasks.begin(), tasks->tasks.end());
             start();
+            send_answers();
         } else if (const auto* begin = message.get<FrameBegin>()) {
             frames_[begin->spec.frame] = begin->spec;
         } else if (const auto* end = message.get<FrameEnd>()) {
@@ -114,6 +128,7 @@ private:
                 ++self->idle_;
                 self->answer(task, seconds);
                 self->start();
+                self->send_answers();
             });
         }
     }
@@ -121,26 +136,34 @@ private:
     void answer(const TileTask& task, double seconds) {
         const auto frame = frames_.find(task.frame);
         if (hangs_ || frame == frames_.end()) return;
-        Message message;
-        message.body = TileResult{.task = task, .seconds = float(seconds), .data = {}};
-        message.payload = pixels_of(frame->second, task, noise_);
-        connection_->send_bulk(std::move(message));
+        if (!pixels_) pixels_ = std::make_shared<Bytes>();
+        const std::uint32_t bytes = append_pixels(frame->second, task, *noise_, *pixels_);
+        answers_.tiles.push_back({.task = task, .seconds = float(seconds), .pixel_bytes = bytes});
         ++results_;
+        if (pixels_->size() >= enough_bytes) send_answers();
+    }
+
+    void send_answers() {
+        if (answers_.tiles.empty()) return;
+        const auto pixels = std::exchange(pixels_, {});
+        connection_->send_bulk({std::exchange(answers_, {}), {pixels, *pixels}});
     }
 
     SyntheticConfig config_;
     int number_;
-    Noise noise_;
+    std::shared_ptr<const Noise> noise_;
     std::shared_ptr<Connection> connection_;
     std::map<std::uint64_t, FrameSpec> frames_;
     std::deque<TileTask> waiting_;
     std::uint32_t idle_;
+    TileResults answers_;            ///< not sent yet
+    std::shared_ptr<Bytes> pixels_;  ///< of them
     std::uint64_t results_ = 0;
     bool hangs_ = false;
 };
 
 SyntheticWorkers::SyntheticWorkers(const SyntheticConfig& config) {
-    const Noise noise = make_noise();
+    const auto noise = make_noise();
     for (int i = 0; i < config.workers; ++i) {
         workers_.push_back(std::make_shared<Worker>(config, i, noise));
         asio::co_spawn(io_, workers_.back()->run(), [](std::exception_ptr failure) {

@@ -5,7 +5,8 @@
 #include <sys/socket.h>
 
 #include <algorithm>
-#include <boost/asio/ssl.hpp>
+#include <boost/asio/ssl/context.hpp>
+#include <boost/asio/ssl/error.hpp>
 #include <utility>
 
 #include "common/check.h"
@@ -15,12 +16,12 @@ namespace {
 
 using boost::system::error_code;
 using Clock = std::chrono::steady_clock;
-namespace ssl = asio::ssl;
 
-/// Small messages share one system call up to this size; a large one goes alone.
-constexpr std::size_t batch_bytes = 64u << 10;
-/// What one read takes at most, unless a frame is larger.
-constexpr std::size_t block_bytes = 64u << 10;
+/// Messages share one system call up to this size; a larger one goes alone.
+constexpr std::size_t batch_bytes = 256u << 10;
+/// What one read takes at most, unless a frame is larger: for most peers, and for those that fill
+/// it.
+constexpr std::size_t least_block_bytes = 64u << 10, most_block_bytes = 256u << 10;
 /// Time for the last words of a session, counted from the peer's last sign of reading.
 constexpr auto closing_deadline = std::chrono::seconds(2);
 /// What a TLS client sends first: a record of the handshake.
@@ -65,10 +66,53 @@ std::string why_no_tls(const error_code& error) {
 
 }  // namespace
 
+/// OpenSSL between buffers of our own: asio's stream moves no more than a record of 16 KiB with a
+/// system call.
 struct Connection::Tunnel {
-    ssl::stream<tcp::socket&> stream;
+    std::unique_ptr<SSL, decltype(&SSL_free)> ssl;
+    std::unique_ptr<std::byte[]> received;  ///< encrypted; OpenSSL reads it where it is
+    std::size_t received_bytes;
 
-    Tunnel(tcp::socket& socket, const Tls& tls) : stream(socket, tls.context()) {}
+    Tunnel(const Tls& tls, std::size_t block_bytes)
+        : ssl(SSL_new(tls.context().native_handle()), SSL_free), received_bytes(0) {
+        CHECK(ssl);
+        SSL_set_bio(ssl.get(), BIO_new(BIO_s_mem()), BIO_new(BIO_s_mem()));
+        tls.side() == Tls::Side::server ? SSL_set_accept_state(ssl.get())
+                                        : SSL_set_connect_state(ssl.get());
+        make_room(block_bytes);
+    }
+
+    void make_room(std::size_t bytes) {
+        if (bytes == received_bytes) return;
+        received = std::make_unique_for_overwrite<std::byte[]>(bytes);
+        received_bytes = bytes;
+    }
+
+    /// To be called when OpenSSL has read all that it was given.
+    void give(std::size_t bytes) {
+        BIO* in = BIO_new_mem_buf(received.get(), int(bytes));
+        BIO_set_mem_eof_return(in, -1);  // more will come
+        SSL_set0_rbio(ssl.get(), in);
+    }
+
+    /// What is to be sent.
+    Bytes take() {
+        BIO* out = SSL_get_wbio(ssl.get());
+        Bytes bytes(BIO_ctrl_pending(out));
+        if (!bytes.empty())
+            CHECK_EQ(BIO_read(out, bytes.data(), int(bytes.size())), int(bytes.size()));
+        return bytes;
+    }
+
+    /// After a call that returned `result`: whether more must be received. Throws what went wrong.
+    bool wants_more(int result) const {
+        const int error = SSL_get_error(ssl.get(), result);
+        if (error == SSL_ERROR_WANT_READ) return true;
+        if (error == SSL_ERROR_NONE) return false;
+        if (error == SSL_ERROR_ZERO_RETURN) throw boost::system::system_error(asio::error::eof);
+        throw boost::system::system_error(
+            error_code(int(ERR_get_error()), asio::error::get_ssl_category()));
+    }
 };
 
 Connection::Connection(tcp::socket socket, const ConnectionConfig& config,
@@ -77,6 +121,7 @@ Connection::Connection(tcp::socket socket, const ConnectionConfig& config,
       config_(config),
       limits_(limits),
       remote_address_(describe_peer(socket_)),
+      usual_bytes_(least_block_bytes),
       read_timer_(socket_.get_executor()),
       write_timer_(socket_.get_executor()),
       drained_(socket_.get_executor(), Clock::time_point::max()) {
@@ -90,15 +135,27 @@ Connection::~Connection() = default;
 
 asio::awaitable<void> Connection::secure(const Tls& tls) {
     const auto self = shared_from_this();
-    tunnel_ = std::make_unique<Tunnel>(socket_, tls);
-    const auto side =
-        tls.side() == Tls::Side::server ? ssl::stream_base::server : ssl::stream_base::client;
-    error_code error;
-    co_await tunnel_->stream.async_handshake(side,
-                                             asio::redirect_error(asio::use_awaitable, error));
-    if (!error) co_return;
-    close();
-    throw boost::system::system_error(error);
+    tunnel_ = std::make_unique<Tunnel>(tls, usual_bytes_);
+    try {
+        for (;;) {
+            ERR_clear_error();
+            const int result = SSL_do_handshake(tunnel_->ssl.get());
+            co_await flush_tunnel();  // the last words of one that fails, too
+            if (!tunnel_->wants_more(result)) co_return;
+            tunnel_->give(co_await socket_.async_read_some(
+                asio::buffer(tunnel_->received.get(), tunnel_->received_bytes),
+                asio::use_awaitable));
+        }
+    } catch (...) {
+        close();
+        throw;
+    }
+}
+
+asio::awaitable<void> Connection::flush_tunnel() {
+    const Bytes bytes = tunnel_->take();
+    if (!bytes.empty())
+        co_await asio::async_write(socket_, asio::buffer(bytes), asio::use_awaitable);
 }
 
 asio::awaitable<bool> Connection::peer_begins_tls() {
@@ -117,7 +174,7 @@ void Connection::admit(const FrameLimits& limits) {
 std::string Connection::peer_name() const {
     if (!tunnel_) return {};
     const std::unique_ptr<X509, decltype(&X509_free)> certificate(
-        SSL_get1_peer_certificate(tunnel_->stream.native_handle()), X509_free);
+        SSL_get1_peer_certificate(tunnel_->ssl.get()), X509_free);
     if (!certificate) return {};
     char name[256] = "";
     X509_NAME_get_text_by_NID(X509_get_subject_name(certificate.get()), NID_commonName, name,
@@ -181,11 +238,11 @@ std::optional<Message> Connection::take_message() {
 
 void Connection::make_room(std::size_t frame_bytes) {
     const std::size_t held = end_ - begin_;
-    const std::size_t size = std::max(block_bytes, frame_bytes);
+    const std::size_t size = std::max(usual_bytes_, frame_bytes);
     const bool shared = block_.use_count() > 1;
     if (held == 0 && !shared) begin_ = end_ = 0;
     // Half a block at least, so that pieces stay large; a block of unusual size is for one frame.
-    const std::size_t wanted = std::max(frame_bytes, held + block_bytes / 2);
+    const std::size_t wanted = std::max(frame_bytes, held + usual_bytes_ / 2);
     if (size == block_bytes_ && begin_ + wanted <= size) return;
     if (shared || size != block_bytes_) {
         // Not initialised: memory that a peer announces costs nothing until the peer fills it.
@@ -202,18 +259,32 @@ void Connection::make_room(std::size_t frame_bytes) {
 
 asio::awaitable<void> Connection::read_more(std::optional<Clock::duration> silence) {
     if (silence) arm(read_timer_, *silence, "is silent for too long");
-    const auto room = asio::buffer(block_.get() + end_, block_bytes_ - end_);
-    error_code error;
+    const std::size_t room = block_bytes_ - end_;
+    std::size_t size = 0;
     if (tunnel_)
-        end_ += co_await tunnel_->stream.async_read_some(
-            room, asio::redirect_error(asio::use_awaitable, error));
+        size = co_await read_decrypted();
     else
-        end_ += co_await socket_.async_read_some(room,
-                                                 asio::redirect_error(asio::use_awaitable, error));
-    // Nobody says TLS's goodbye: frames tell where they end.
-    if (error == ssl::error::stream_truncated) error = asio::error::eof;
-    if (error) throw boost::system::system_error(error);
+        size = co_await socket_.async_read_some(asio::buffer(block_.get() + end_, room),
+                                                asio::use_awaitable);
+    end_ += size;
+    if (size == room) usual_bytes_ = std::min(2 * usual_bytes_, most_block_bytes);
     if (silence) read_timer_.expires_at(Clock::time_point::max());
+}
+
+asio::awaitable<std::size_t> Connection::read_decrypted() {
+    std::size_t size = 0;
+    for (;;) {
+        ERR_clear_error();
+        const int result = SSL_read(tunnel_->ssl.get(), block_.get() + end_ + size,
+                                    int(block_bytes_ - end_ - size));
+        if (result > 0) size += std::size_t(result);
+        if (end_ + size == block_bytes_) co_return size;
+        if (result > 0 || !tunnel_->wants_more(result)) continue;
+        if (size > 0) co_return size;
+        tunnel_->make_room(usual_bytes_);
+        tunnel_->give(co_await socket_.async_read_some(
+            asio::buffer(tunnel_->received.get(), tunnel_->received_bytes), asio::use_awaitable));
+    }
 }
 
 void Connection::send(Message message) { enqueue(control_, std::move(message)); }
@@ -268,17 +339,20 @@ asio::awaitable<error_code> Connection::write(std::span<const EncodedMessage> ba
         buffers.push_back(asio::buffer(message.head));
         buffers.emplace_back(message.payload.bytes.data(), message.payload.bytes.size());
     }
-    error_code error;
+    Bytes encrypted;
     if (tunnel_) {
         // One piece, or TLS would make a record of every buffer.
-        std::vector<std::byte> joined(asio::buffer_size(buffers));
+        Bytes joined(asio::buffer_size(buffers));
         asio::buffer_copy(asio::buffer(joined), buffers);
-        co_await asio::async_write(tunnel_->stream, asio::buffer(joined), next_piece,
-                                   asio::redirect_error(asio::use_awaitable, error));
-    } else {
-        co_await asio::async_write(socket_, buffers, next_piece,
-                                   asio::redirect_error(asio::use_awaitable, error));
+        ERR_clear_error();
+        if (SSL_write(tunnel_->ssl.get(), joined.data(), int(joined.size())) <= 0)
+            co_return asio::error::broken_pipe;
+        encrypted = tunnel_->take();
+        buffers = {asio::buffer(encrypted)};
     }
+    error_code error;
+    co_await asio::async_write(socket_, buffers, next_piece,
+                               asio::redirect_error(asio::use_awaitable, error));
     co_return error;
 }
 

@@ -116,6 +116,10 @@ private:
     /// Makes room in `block_` for a frame of that size at `begin_`.
     void make_room(std::size_t frame_bytes);
     asio::awaitable<void> read_more(std::optional<std::chrono::steady_clock::duration> silence);
+    /// By TLS into the room that there is in `block_`, at least a byte.
+    asio::awaitable<std::size_t> read_decrypted();
+    /// Sends what TLS has to say, and throws what hinders it.
+    asio::awaitable<void> flush_tunnel();
     /// Closes and rethrows the current exception, or what we hold against the peer.
     [[noreturn]] void fail_receive();
     asio::awaitable<void> say_last_words();
@@ -140,6 +144,7 @@ private:
     // which is used again once nobody does.
     std::shared_ptr<std::byte[]> block_;
     std::size_t block_bytes_ = 0;
+    std::size_t usual_bytes_;  ///< of a block; grows where much arrives at once
     std::size_t begin_ = 0;
     std::size_t end_ = 0;
     std::string complaint_;  ///< why we closed, when it was the peer's fault

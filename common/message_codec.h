@@ -17,6 +17,8 @@ inline constexpr int max_image_side = 16384;
 inline constexpr std::uint64_t max_image_pixels = std::uint64_t(1) << 26;
 /// More tiles than a picture of that size can have.
 inline constexpr std::uint32_t max_tiles = 1u << 20;
+/// More tiles than travel in one message.
+inline constexpr std::size_t max_tiles_together = 4096;
 inline constexpr std::uint32_t max_passes = 1u << 24;
 inline constexpr std::uint32_t max_vpls = 1u << 16;
 inline constexpr std::uint32_t max_interleave = 64;

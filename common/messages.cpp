@@ -2,7 +2,7 @@
 
 #include <bit>
 #include <cmath>
-#include <cstring>
+#include <functional>
 #include <utility>
 
 #include "common/check.h"
@@ -154,6 +154,40 @@ void unpack(const wire::SetShape& in, SetShape& v) {
     require_set(in.has_shape(), "shape");
     v.object = in.object();
     unpack(in.shape(), v.shape);
+}
+
+/// Into the message TileTask, and into the fields that TileReport shares with it.
+template <class Out>
+void pack_task(const TileTask& v, Out& out) {
+    out.set_frame(v.frame);
+    out.set_tile(v.tile);
+    out.set_first_pass(v.first_pass);
+    out.set_pass_count(v.pass_count);
+}
+template <class In>
+void unpack_task(const In& in, TileTask& v) {
+    v.frame = in.frame();
+    v.tile = in_range(in.tile(), 0u, max_tiles - 1, "tile");
+    v.first_pass = in_range(in.first_pass(), 0u, max_passes - 1, "first_pass");
+    v.pass_count = in_range(in.pass_count(), 1u, max_passes - v.first_pass, "pass_count");
+}
+
+void pack(const TileTask& v, wire::TileTask& out) { pack_task(v, out); }
+void unpack(const wire::TileTask& in, TileTask& v) { unpack_task(in, v); }
+
+void pack(const TileReport& v, wire::TileReport& out) {
+    pack_task(v.task, out);
+    out.set_rays(v.rays);
+    out.set_sanitised(v.sanitised);
+    out.set_seconds(v.seconds);
+    out.set_pixel_bytes(v.pixel_bytes);
+}
+void unpack(const wire::TileReport& in, TileReport& v) {
+    unpack_task(in, v.task);
+    v.rays = in.rays();
+    v.sanitised = in.sanitised();
+    v.seconds = amount(in.seconds(), "seconds");
+    v.pixel_bytes = in.pixel_bytes();
 }
 
 void pack(const EditOperation& v, wire::EditOperation& out);
@@ -887,36 +921,24 @@ void unpack(const wire::FrameBegin& in, FrameBegin& v) {
 void pack(const FrameEnd& v, wire::FrameEnd& out) { out.set_frame(v.frame); }
 void unpack(const wire::FrameEnd& in, FrameEnd& v) { v.frame = in.frame(); }
 
-/// Into the message TileTask, and into the fields that TileResult shares with it.
-template <class Out>
-void pack_task(const TileTask& v, Out& out) {
-    out.set_frame(v.frame);
-    out.set_tile(v.tile);
-    out.set_first_pass(v.first_pass);
-    out.set_pass_count(v.pass_count);
-}
-template <class In>
-void unpack_task(const In& in, TileTask& v) {
-    v.frame = in.frame();
-    v.tile = in_range(in.tile(), 0u, max_tiles - 1, "tile");
-    v.first_pass = in_range(in.first_pass(), 0u, max_passes - 1, "first_pass");
-    v.pass_count = in_range(in.pass_count(), 1u, max_passes - v.first_pass, "pass_count");
+template <class Field>
+void check_together(const Field& in) {
+    if (std::size_t(in.size()) > max_tiles_together)
+        refuse("{} tiles in one message, at most {} may be", in.size(), max_tiles_together);
 }
 
-void pack(const TileTask& v, wire::TileTask& out) { pack_task(v, out); }
-void unpack(const wire::TileTask& in, TileTask& v) { unpack_task(in, v); }
-
-void pack(const TileResult& v, wire::TileResult& out) {
-    pack_task(v.task, out);
-    out.set_rays(v.rays);
-    out.set_sanitised(v.sanitised);
-    out.set_seconds(v.seconds);
+void pack(const TileTasks& v, wire::TileTasks& out) { pack_each(v.tasks, *out.mutable_tasks()); }
+void unpack(const wire::TileTasks& in, TileTasks& v) {
+    check_together(in.tasks());
+    unpack_each(in.tasks(), v.tasks);
 }
-void unpack(const wire::TileResult& in, TileResult& v) {
-    unpack_task(in, v.task);
-    v.rays = in.rays();
-    v.sanitised = in.sanitised();
-    v.seconds = amount(in.seconds(), "seconds");
+
+void pack(const TileResults& v, wire::TileResults& out) {
+    pack_each(v.tiles, *out.mutable_tiles());
+}
+void unpack(const wire::TileResults& in, TileResults& v) {
+    check_together(in.tiles());
+    unpack_each(in.tiles(), v.tiles);
 }
 
 // ---- Status -------------------------------------------------------------------------------------
@@ -973,8 +995,8 @@ using Kinds = Table<
     Entry<FrameDone, wire::FrameDone, wire::KIND_FRAME_DONE>,
     Entry<FrameBegin, wire::FrameBegin, wire::KIND_FRAME_BEGIN>,
     Entry<FrameEnd, wire::FrameEnd, wire::KIND_FRAME_END>,
-    Entry<TileTask, wire::TileTask, wire::KIND_TILE_TASK>,
-    Entry<TileResult, wire::TileResult, wire::KIND_TILE_RESULT>,
+    Entry<TileTasks, wire::TileTasks, wire::KIND_TILE_TASKS>,
+    Entry<TileResults, wire::TileResults, wire::KIND_TILE_RESULTS>,
     Entry<Failure, wire::Failure, wire::KIND_FAILURE>,
     Entry<StatusRequest, wire::StatusRequest, wire::KIND_STATUS_REQUEST>,
     Entry<Status, wire::Status, wire::KIND_STATUS>, Entry<Ping, wire::Ping, wire::KIND_PING>,
@@ -997,52 +1019,37 @@ bool with_entry(Table<Entries...>, Wanted wanted, F f) {
 
 // ---- Payloads -----------------------------------------------------------------------------------
 
-/// A tile's pixels leave as the payload, which takes over their vector unless they are there
-/// already.
-void detach_pixels(Message& message) {
-    auto* result = std::get_if<TileResult>(&message.body);
-    if (!result || !message.payload.bytes.empty()) return;
-    const auto pixels = std::make_shared<const std::vector<float>>(std::move(result->data));
-    message.payload = {pixels, std::as_bytes(std::span(*pixels))};
-}
-
-void take_pixels(std::span<const std::byte> bytes, TileResult& result) {
-    constexpr ChannelSet every_channel{(1u << channel_count) - 1};
-    constexpr std::size_t most =
-        sizeof(float) * tile_size * tile_size * floats_per_pixel(every_channel);
-    if (bytes.size() % sizeof(float) != 0 || bytes.size() > most)
-        refuse("{} bytes are no tile's pixels", bytes.size());
-    result.data.resize(bytes.size() / sizeof(float));
-    if (!bytes.empty()) std::memcpy(result.data.data(), bytes.data(), bytes.size());
-}
-
 void check_chunk(std::uint64_t offset, std::uint64_t size, std::uint64_t total) {
     if (offset > total || size > total - offset)
         refuse("bytes from {} to {} of {}", offset, offset + size, total);
     if (size == 0 && total != 0) refuse("empty chunk");
 }
 
-void check_blobs(const SceneEdit& edit, std::uint64_t size) {
-    for (const std::uint64_t bytes : edit.blob_bytes) {
-        if (bytes > size) refuse("blobs of an edit that are larger than its payload");
-        size -= bytes;
+/// The parts of a payload are all of it. `what` they are, in words.
+template <class Sizes, class SizeOf>
+void check_parts(const Sizes& parts, SizeOf size_of, std::uint64_t size, const char* what) {
+    for (const auto& part : parts) {
+        if (size_of(part) > size) refuse("{} larger than their payload", what);
+        size -= size_of(part);
     }
-    if (size != 0) refuse("{} bytes more than the blobs of an edit take", size);
+    if (size != 0) refuse("{} bytes more than {} take", size, what);
 }
 
 /// Attaches the payload to the message that it came with.
 void attach_payload(Payload payload, Message& message) {
     const std::size_t size = payload.bytes.size();
-    if (auto* result = std::get_if<TileResult>(&message.body))
-        return take_pixels(payload.bytes, *result);
-    if (const auto* blob = message.get<BlobChunk>())
+    if (const auto* results = message.get<TileResults>())
+        check_parts(
+            results->tiles, [](const TileReport& tile) { return tile.pixel_bytes; }, size,
+            "the tiles");
+    else if (const auto* blob = message.get<BlobChunk>())
         check_chunk(blob->offset, size, blob->total);
     else if (const auto* picture = message.get<PictureChunk>())
         check_chunk(picture->offset, size, picture->total);
     else if (const auto* sums = message.get<SumsChunk>())
         check_chunk(sums->offset, size, sums->total);
     else if (const auto* edit = message.get<SceneEdit>())
-        check_blobs(*edit, size);
+        check_parts(edit->blob_bytes, std::identity{}, size, "the blobs of an edit");
     else if (size != 0)
         refuse("payload of {} bytes where none belongs", size);
     if (size != 0) message.payload = std::move(payload);
@@ -1078,7 +1085,6 @@ MessageBody parse(std::span<const std::byte> bytes) {
 }  // namespace
 
 EncodedMessage encode(Message message) {
-    detach_pixels(message);
     EncodedMessage out;
     const auto pack_body = [&]<class Entry>(Entry) {
         typename Entry::Wire body;

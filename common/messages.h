@@ -1,12 +1,13 @@
 // Who says what to whom: the protocol as plain values. proto/protocol.proto is the public contract;
 // common/messages.cpp is the only place where Protocol Buffers become values and back.
 //
-//   worker -> server   Hello, BlobRequest, SceneReady, TileResult*, Failure, Pong,
+//   worker -> server   Hello, BlobRequest, SceneReady, TileResults*, Failure, Pong,
 //                      Leave
 //   viewer -> server   Hello, SceneUpdate, BlobChunk*, SceneShare, SceneWatch, BlobRequest,
 //                      SceneEdit, View, ViewEnd, FrameRequest, SumsChunk*, FrameSave, FrameCancel,
 //                      StatusRequest, Ping, Pong
-//   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin, TileTask,
+//   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin,
+//   TileTasks,
 //                      FrameEnd, Ping
 //   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
 //                      EditResult, FrameProgress, SumsChunk*, PictureChunk*, ViewPicture,
@@ -32,7 +33,7 @@
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 3;
+inline constexpr std::uint32_t protocol_version = 4;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -276,6 +277,20 @@ struct FrameEnd {
     bool operator==(const FrameEnd&) const = default;
 };
 
+/// Tasks for a worker, in the order in which they are wanted.
+struct TileTasks {
+    std::vector<TileTask> tasks;
+
+    bool operator==(const TileTasks&) const = default;
+};
+/// Finished tasks in any order. The payload holds their pixels, packed (common/tile_codec.h), one
+/// tile after the other.
+struct TileResults {
+    std::vector<TileReport> tiles;
+
+    bool operator==(const TileResults&) const = default;
+};
+
 /// Something asked for cannot be done. `request` is the viewer's request, from a worker the frame,
 /// and 0 when it concerns neither (a scene that cannot be built).
 struct Failure {
@@ -347,7 +362,7 @@ struct Leave {
 using MessageBody =
     std::variant<Hello, Welcome, Refused, SceneUpdate, BlobRequest, BlobChunk, SceneReady,
                  SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
-                 FrameBegin, FrameEnd, TileTask, TileResult, Failure, StatusRequest, Status, Ping,
+                 FrameBegin, FrameEnd, TileTasks, TileResults, Failure, StatusRequest, Status, Ping,
                  Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture,
                  Leave, FrameSave, SumsChunk>;
 

@@ -85,15 +85,15 @@ struct FrameSpec {
     bool operator==(const FrameSpec&) const = default;
 };
 
-/// Channels that workers send for a frame: what the picture needs and what was asked for.
+/// Channels that workers send for a frame: what the picture and its filter need, and what was asked
+/// for.
 constexpr ChannelSet tile_channels(const FrameSpec& spec) {
     ChannelSet set = ChannelSet{}.with(Channel::radiance);
-    if (spec.settings.integrator == Integrator::igi)
-        set = set.with(Channel::irradiance)
-                  .with(Channel::albedo)
-                  .with(Channel::normal)
-                  .with(Channel::depth)
-                  .with(Channel::surface);
+    if (spec.settings.integrator == Integrator::igi) {
+        set = set.with(Channel::irradiance).with(Channel::albedo);
+        if (spec.settings.filter != FilterPlace::off)
+            set = set.with(Channel::normal).with(Channel::depth).with(Channel::surface);
+    }
     return set.with(spec.extra);
 }
 
@@ -135,10 +135,10 @@ struct TileTask {
     auto operator<=>(const TileTask&) const = default;
 };
 
-/// The answer to a task. `data` holds the channels of tile_channels(spec) in order, each planar by
-/// channel and interleaved within (rgbrgb...), rows of the tile's rect from the top. Values are
-/// sums over the task's passes, except `surface`, `normal` and `depth`, which are those of the
-/// task's first pass.
+/// The answer to a task as it is rendered; common/tile_codec.h packs it. `data` holds the channels
+/// of tile_channels(spec) in order, each planar by channel and interleaved within (rgbrgb...), rows
+/// of the tile's rect from the top. Values are sums over the task's passes, except `surface`,
+/// `normal` and `depth`, which are those of the task's first pass.
 struct TileResult {
     TileTask task;
     std::uint64_t rays = 0;
@@ -147,6 +147,17 @@ struct TileResult {
     std::vector<float> data;
 
     bool operator==(const TileResult&) const = default;
+};
+
+/// What a worker says of a finished task, beside its pixels.
+struct TileReport {
+    TileTask task;
+    std::uint64_t rays = 0;
+    std::uint64_t sanitised = 0;
+    float seconds = 0;              ///< spent rendering
+    std::uint32_t pixel_bytes = 0;  ///< of its pixels, packed
+
+    bool operator==(const TileReport&) const = default;
 };
 
 }  // namespace tessera

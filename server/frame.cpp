@@ -1,10 +1,12 @@
 #include "server/frame.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
 #include "common/check.h"
 #include "common/discontinuity.h"
+#include "common/tile_codec.h"
 #include "server/runs.h"
 
 namespace tessera {
@@ -14,6 +16,8 @@ namespace {
 constexpr std::size_t window_bytes = std::size_t(256) << 20;
 /// More runs in flight than this only help pictures of a few tiles.
 constexpr std::size_t most_runs_in_flight = 32;
+/// Memory of runs that are over.
+constexpr std::size_t most_spare_bytes = window_bytes;
 
 /// Where channel `c` begins in planar data of `pixels` pixels.
 std::size_t channel_offset(ChannelSet set, Channel c, std::size_t pixels) {
@@ -233,12 +237,31 @@ Image FrameSums::channel(Channel c) const {
     return image;
 }
 
-FrameAssembler::FrameAssembler(const FrameSpec& spec, std::uint32_t first_run)
+std::vector<float> BufferPool::take(std::size_t floats) {
+    const auto found = std::find_if(buffers_.begin(), buffers_.end(),
+                                    [&](const auto& buffer) { return buffer.size() == floats; });
+    if (found == buffers_.end()) return std::vector<float>(floats);
+    std::vector<float> out = std::move(*found);
+    buffers_.erase(found);
+    return out;
+}
+
+void BufferPool::put(std::vector<float> buffer) {
+    buffers_.push_front(std::move(buffer));
+    std::size_t bytes = 0;
+    for (const auto& kept : buffers_) bytes += kept.size() * sizeof(float);
+    for (; bytes > most_spare_bytes; buffers_.pop_back())
+        bytes -= buffers_.back().size() * sizeof(float);
+}
+
+FrameAssembler::FrameAssembler(const FrameSpec& spec, std::uint32_t first_run,
+                               std::shared_ptr<BufferPool> pool)
     : spec_(spec),
       channels_(tile_channels(spec)),
       runs_(run_count(spec.settings)),
       folded_(first_run),
-      tasks_done_(std::uint64_t(first_run) * tile_count(spec.size)) {
+      tasks_done_(std::uint64_t(first_run) * tile_count(spec.size)),
+      pool_(std::move(pool)) {
     const std::size_t run_bytes =
         spec.size.pixels() * std::size_t(floats_per_pixel(channels_)) * sizeof(float);
     window_ = std::uint32_t(std::clamp(window_bytes / std::max<std::size_t>(run_bytes, 1),
@@ -247,22 +270,21 @@ FrameAssembler::FrameAssembler(const FrameSpec& spec, std::uint32_t first_run)
 
 std::uint32_t FrameAssembler::run_limit() const { return std::min(folded_ + window_, runs_); }
 
-bool FrameAssembler::fits(const TileResult& result) const {
-    if (!run_of(spec_, result.task)) return false;
-    const Rect rect = tile_rect(spec_.size, result.task.tile);
-    return result.data.size() == rect.pixels() * std::size_t(floats_per_pixel(channels_));
+bool FrameAssembler::fits(const TileTask& task, std::span<const std::byte> pixels) const {
+    return run_of(spec_, task) &&
+           is_packed_tile(channels_, tile_rect(spec_.size, task.tile).pixels(), pixels);
 }
 
-Arrival FrameAssembler::add(const TileResult& result) {
-    if (!fits(result)) return Arrival::broken;
-    const std::uint32_t run = *run_of(spec_, result.task);
+Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pixels) {
+    if (!fits(task, pixels)) return Arrival::broken;
+    const std::uint32_t run = *run_of(spec_, task);
     if (run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
     if (run >= run_limit()) return Arrival::not_wanted;
 
     RunBuffer& buffer = buffer_of(run);
-    if (buffer.tile_here[result.task.tile]) return Arrival::duplicate;
-    copy_tile(result, buffer.data);
-    buffer.tile_here[result.task.tile] = true;
+    if (buffer.tile_here[task.tile]) return Arrival::duplicate;
+    unpack_tile(channels_, pixels, tile_rect(spec_.size, task.tile), spec_.size, buffer.data);
+    buffer.tile_here[task.tile] = true;
     --buffer.tiles_missing;
     ++tasks_done_;
     return Arrival::stored;
@@ -271,30 +293,12 @@ Arrival FrameAssembler::add(const TileResult& result) {
 RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
     if (const auto found = open_.find(run); found != open_.end()) return found->second;
     RunBuffer buffer;
-    if (!pool_.empty()) {
-        buffer = std::move(pool_.back());
-        pool_.pop_back();
-    }
     buffer.run = run;
     buffer.passes = passes_of_run(spec_.settings, run);
     buffer.tiles_missing = tile_count(spec_.size);
     buffer.tile_here.assign(tile_count(spec_.size), false);
-    buffer.data.resize(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
+    buffer.data = pool_->take(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
     return open_.emplace(run, std::move(buffer)).first->second;
-}
-
-void FrameAssembler::copy_tile(const TileResult& result, std::vector<float>& into) const {
-    const Rect rect = tile_rect(spec_.size, result.task.tile);
-    const float* from = result.data.data();
-    for (Channel c : channels_in(channels_)) {
-        const std::size_t floats = std::size_t(floats_per_pixel(c));
-        const std::size_t row = floats * std::size_t(rect.width());
-        float* plane = into.data() + channel_offset(channels_, c, spec_.size.pixels());
-        for (int y = rect.y0; y < rect.y1; ++y, from += row)
-            std::copy_n(from, row,
-                        plane + floats * (std::size_t(y) * std::size_t(spec_.size.width) +
-                                          std::size_t(rect.x0)));
-    }
 }
 
 std::optional<RunBuffer> FrameAssembler::take_complete() {
@@ -310,7 +314,7 @@ void FrameAssembler::run_folded(RunBuffer run) {
     CHECK(folding_ && run.run == folded_);
     folding_ = false;
     ++folded_;
-    if (folded_ + pool_.size() < runs_) pool_.push_back(std::move(run));
+    pool_->put(std::move(run.data));
 }
 
 void FrameAssembler::limit_passes(std::uint32_t passes) {

@@ -7,7 +7,9 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <map>
+#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
@@ -84,17 +86,31 @@ enum class Arrival : std::uint8_t {
     stored,
     duplicate,   ///< its pixels are there already
     not_wanted,  ///< of a pass beyond the limit, or not yet to be handed out
-    broken,      ///< no task of this frame, or the wrong amount of data: the worker's fault
+    broken,      ///< no task of this frame, or no pixels of such a tile: the worker's fault
+};
+
+/// Large buffers of frames that are over, for those to come: fresh memory from the kernel costs
+/// more than the pixels that fill it.
+class BufferPool {
+public:
+    /// Of unknown contents.
+    std::vector<float> take(std::size_t floats);
+    /// Keeps a buffer as long as it is among the newest.
+    void put(std::vector<float> buffer);
+
+private:
+    std::deque<std::vector<float>> buffers_;  ///< newest first
 };
 
 class FrameAssembler {
 public:
     /// Runs before `first_run` are folded already.
-    explicit FrameAssembler(const FrameSpec& spec, std::uint32_t first_run = 0);
+    explicit FrameAssembler(const FrameSpec& spec, std::uint32_t first_run = 0,
+                            std::shared_ptr<BufferPool> pool = std::make_shared<BufferPool>());
 
-    /// Whether the result is one of this frame's tasks with the right amount of data.
-    bool fits(const TileResult& result) const;
-    Arrival add(const TileResult& result);
+    /// Whether this is one of the frame's tasks with pixels of such a tile, packed.
+    bool fits(const TileTask& task, std::span<const std::byte> pixels) const;
+    Arrival add(const TileTask& task, std::span<const std::byte> pixels);
 
     /// The next run in order once it is complete; to be folded, then handed back to run_folded.
     /// One at a time: nothing while a run is out.
@@ -118,7 +134,6 @@ public:
 
 private:
     RunBuffer& buffer_of(std::uint32_t run);
-    void copy_tile(const TileResult& result, std::vector<float>& into) const;
 
     FrameSpec spec_;
     ChannelSet channels_;
@@ -128,7 +143,7 @@ private:
     bool folding_ = false;
     std::uint64_t tasks_done_;
     std::map<std::uint32_t, RunBuffer> open_;  ///< runs in flight or complete, not yet taken
-    std::vector<RunBuffer> pool_;              ///< buffers to use again
+    std::shared_ptr<BufferPool> pool_;
 };
 
 }  // namespace tessera

@@ -28,6 +28,19 @@ double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
 }
 
+/// Where the discontinuity filter runs, and why. A worker that filters sends the filtered colour
+/// and what the filter took away (server/detail_blend.h), neither of which packs, and traces what
+/// its tiles' windows reach into a second time; so far no tile has been seen that is larger as it
+/// is.
+std::string filter_sentence(const RenderSettings& settings, double bytes_of_tile) {
+    const double side = 1 + double(settings.interleave / 2 * 2) / tile_size;
+    constexpr double pixels = tile_size * tile_size;
+    return fmt::format(
+        "filter on the server: a tile comes in {:.1f} kB; filtered by the workers it would take "
+        "{:.1f} kB and {:.2f} times the rays",
+        1e-3 * bytes_of_tile, 1e-3 * 2 * 3 * sizeof(float) * pixels, side * side);
+}
+
 }  // namespace
 
 /// One frame on its way.
@@ -46,17 +59,18 @@ struct RenderFarm::Job {
     double error_estimate = 0;                      ///< after the last run folded
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
+    std::uint64_t pixel_bytes = 0;  ///< of tiles as they came
     std::map<std::uint64_t, WorkerShare> shares;
     Clock::time_point fold_began;
     std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
 
     Job(const asio::any_io_executor& strand, const FrameRequest& r, const ReadyScene& s,
-        FrameObserver o, std::shared_ptr<FrameSums> begun)
+        FrameObserver o, std::shared_ptr<FrameSums> begun, std::shared_ptr<BufferPool> buffers)
         : request(r),
           scene(s),
           observer(std::move(o)),
           sums(begun ? std::move(begun) : std::make_shared<FrameSums>(r.spec)),
-          assembler(r.spec, sums->runs()),
+          assembler(r.spec, sums->runs(), std::move(buffers)),
           report_timer(strand) {}
 
     std::uint64_t frame() const { return request.spec.frame; }
@@ -96,8 +110,8 @@ std::uint64_t RenderFarm::begin_frame(const FrameRequest& request, const ReadySc
     numbered.spec.frame = ++last_frame_;
     numbered.spec.scene = scene.name;
     numbered.spec.version = scene.scene->version;
-    auto job =
-        std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums));
+    auto job = std::make_unique<Job>(strand_, numbered, scene, std::move(observer), std::move(sums),
+                                     buffers_);
     Job& begun = *job;
     begun.error_estimate = begun.sums->error_estimate();
     jobs_[last_frame_] = std::move(job);
@@ -161,34 +175,43 @@ void RenderFarm::frame_failed(WorkerSession& worker, std::uint64_t frame,
     pump();
 }
 
-void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
-    const auto found = jobs_.find(result.task.frame);
-    if (found == jobs_.end()) return;  // cancelled while the worker was at it
-    Job& job = *found->second;
-    if (!job.assembler.fits(result))
-        throw ProtocolError(
-            fmt::format("answers with a tile that is none of frame {}", result.task.frame));
+void RenderFarm::tile_results(WorkerSession& worker, const TileResults& results,
+                              std::span<const std::byte> pixels) {
     const auto now = Clock::now();
-    const Answer answer = scheduler_.completed(worker.id(), result.task, now, result.seconds);
-    if (job.trace)
-        job.trace->add(worker.name(), worker.threads(),
-                       fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
-                                   answer == Answer::first ? "" : ", not needed"),
-                       from_seconds(result.seconds), now);
-    worker.busy_seconds += result.seconds;
-    if (answer == Answer::first) {
-        CHECK(job.assembler.add(result) == Arrival::stored);
-        ++worker.tiles;
-        worker.rays += result.rays;
-        job.rays += result.rays;
-        job.sanitised += result.sanitised;
-        WorkerShare& share = job.shares[worker.id()];
-        ++share.tiles;
-        share.rays += result.rays;
-        fold_next(job);
+    for (const TileReport& tile : results.tiles) {
+        tile_result(worker, tile, pixels.first(tile.pixel_bytes), now);
+        pixels = pixels.subspan(tile.pixel_bytes);
     }
     let_go_if_done(worker);
     pump_soon();
+}
+
+void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
+                             std::span<const std::byte> pixels, TimePoint now) {
+    const auto found = jobs_.find(tile.task.frame);
+    if (found == jobs_.end()) return;  // cancelled while the worker was at it
+    Job& job = *found->second;
+    if (!job.assembler.fits(tile.task, pixels))
+        throw ProtocolError(
+            fmt::format("answers with a tile that is none of frame {}", tile.task.frame));
+    const Answer answer = scheduler_.completed(worker.id(), tile.task, now, tile.seconds);
+    if (job.trace)
+        job.trace->add(worker.name(), worker.threads(),
+                       fmt::format("tile {}, pass {}{}", tile.task.tile, tile.task.first_pass,
+                                   answer == Answer::first ? "" : ", not needed"),
+                       from_seconds(tile.seconds), now);
+    worker.busy_seconds += tile.seconds;
+    if (answer != Answer::first) return;
+    CHECK(job.assembler.add(tile.task, pixels) == Arrival::stored);
+    ++worker.tiles;
+    worker.rays += tile.rays;
+    job.rays += tile.rays;
+    job.sanitised += tile.sanitised;
+    job.pixel_bytes += tile.pixel_bytes;
+    WorkerShare& share = job.shares[worker.id()];
+    ++share.tiles;
+    share.rays += tile.rays;
+    fold_next(job);
 }
 
 void RenderFarm::retire(WorkerSession& worker) {
@@ -246,6 +269,7 @@ void RenderFarm::pump_soon() {
 void RenderFarm::pump() {
     pump_is_due_ = false;
     const auto now = Clock::now();
+    std::vector<WorkerSession*> served;
     for (const auto& [worker, task] : scheduler_.assign(now)) {
         Job& job = *jobs_.at(task.frame);
         if (!job.started) {
@@ -257,8 +281,9 @@ void RenderFarm::pump() {
             share->second.name = session.name();
             share->second.threads = session.threads();
         }
-        session.hand_out(job.request.spec, task);
+        if (session.hand_out(job.request.spec, task)) served.push_back(&session);
     }
+    for (WorkerSession* session : served) session->send_tasks();
     arm_timer();
 }
 
@@ -503,8 +528,14 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
         out.modelled = state->report.modelled;
         out.left_out = state->report.left_out;
     }
-    for (const auto& [id, share] : job.shares)
+    std::uint64_t tiles = 0;
+    for (const auto& [id, share] : job.shares) {
+        tiles += share.tiles;
         if (share.tiles > 0) out.workers.push_back(share);
+    }
+    const RenderSettings& settings = job.request.spec.settings;
+    if (tiles > 0 && settings.integrator == Integrator::igi && settings.filter != FilterPlace::off)
+        out.modelled.push_back(filter_sentence(settings, double(job.pixel_bytes) / double(tiles)));
     return out;
 }
 

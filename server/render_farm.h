@@ -72,8 +72,10 @@ public:
     void scene_ready(WorkerSession& worker, const std::string& scene, std::uint64_t version);
     void scene_failed(WorkerSession& worker, const std::string& scene);
     void frame_failed(WorkerSession& worker, std::uint64_t frame, const std::string& reason);
-    /// Throws ProtocolError when the result does not fit its frame.
-    void tile_result(WorkerSession& worker, const TileResult& result);
+    /// `pixels`: of these tiles, one after the other. Throws ProtocolError when one does not fit
+    /// its frame.
+    void tile_results(WorkerSession& worker, const TileResults& results,
+                      std::span<const std::byte> pixels);
 
     /// The worker gets no more tasks, and goes when it has answered those that it holds.
     void retire(WorkerSession& worker);
@@ -93,6 +95,8 @@ public:
 private:
     struct Job;
 
+    void tile_result(WorkerSession& worker, const TileReport& tile,
+                     std::span<const std::byte> pixels, TimePoint now);
     void let_go_if_done(WorkerSession& worker);
     void pump();
     void pump_soon();
@@ -126,6 +130,7 @@ private:
     std::uint64_t last_frame_ = 0;
     std::uint64_t frames_done_ = 0;
     bool pump_is_due_ = false;
+    std::shared_ptr<BufferPool> buffers_ = std::make_shared<BufferPool>();
     asio::steady_timer deadline_timer_;
     unsigned fold_threads_;
     std::filesystem::path trace_;

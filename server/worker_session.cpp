@@ -7,6 +7,7 @@
 
 #include "common/check.h"
 #include "common/log.h"
+#include "common/message_codec.h"
 #include "server/render_farm.h"
 
 namespace tessera {
@@ -56,8 +57,8 @@ std::string WorkerSession::description() const {
 }
 
 void WorkerSession::handle(Message message, RenderFarm& farm) {
-    if (const auto* result = message.get<TileResult>())
-        farm.tile_result(*this, *result);
+    if (const auto* results = message.get<TileResults>())
+        farm.tile_results(*this, *results, message.payload.bytes);
     else if (const auto* request = message.get<BlobRequest>())
         send_blobs_of(*request);
     else if (const auto* ready = message.get<SceneReady>())
@@ -120,9 +121,15 @@ bool WorkerSession::drop(const std::string& scene) {
     return true;
 }
 
-void WorkerSession::hand_out(const FrameSpec& spec, const TileTask& task) {
+bool WorkerSession::hand_out(const FrameSpec& spec, const TileTask& task) {
     if (frames_.insert(spec.frame).second) connection_->send({FrameBegin{spec}, {}});
-    connection_->send({task, {}});
+    if (tasks_.tasks.size() == max_tiles_together) send_tasks();
+    tasks_.tasks.push_back(task);
+    return tasks_.tasks.size() == 1;
+}
+
+void WorkerSession::send_tasks() {
+    if (!tasks_.tasks.empty()) connection_->send({std::exchange(tasks_, {}), {}});
 }
 
 void WorkerSession::end_frame(std::uint64_t frame) {

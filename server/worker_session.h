@@ -30,7 +30,9 @@ public:
     bool bring(const ReadyScene& scene, TracerKind tracer);
     /// Returns whether the worker had it.
     bool drop(const std::string& scene);
-    void hand_out(const FrameSpec& spec, const TileTask& task);
+    /// Adds a task to those that send_tasks() sends; returns whether it is the first of them.
+    bool hand_out(const FrameSpec& spec, const TileTask& task);
+    void send_tasks();
     void end_frame(std::uint64_t frame);
 
     /// How far the worker is with a version of a scene.
@@ -71,6 +73,7 @@ private:
     std::map<std::string, SceneState> scenes_;
     std::deque<std::string> unanswered_;  ///< scenes of updates sent, oldest first
     std::set<std::uint64_t> frames_;      ///< begun on the worker
+    TileTasks tasks_;                     ///< to be sent
     double round_trip_seconds_ = 0;
     std::uint64_t memory_bytes_ = 0;
     asio::steady_timer ping_timer_;

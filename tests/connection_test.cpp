@@ -138,8 +138,8 @@ TEST(Connection, a_stranger_gets_no_memory) {
 TEST(Connection, who_was_let_in_hears_why_he_is_dropped) {
     run_pair([](Pair pair) -> asio::awaitable<void> {
         pair.a->admit({.message_bytes = 10, .payload_bytes = 100, .option = "--max-words"});
-        pair.b->send({TileTask{.frame = 1}, {}});
-        EXPECT_TRUE((co_await pair.a->receive()).get<TileTask>());
+        pair.b->send({FrameEnd{1}, {}});
+        EXPECT_TRUE((co_await pair.a->receive()).get<FrameEnd>());
         pair.b->send({Failure{.request = 0, .reason = std::string(20, 'x')}, {}});
         // More than fits the buffers of a socket, so that the peer is still writing when it hears.
         for (int i = 0; i < 100; ++i) pair.b->send_bulk(bulk(0, chunk_bytes));

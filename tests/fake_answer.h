@@ -5,7 +5,7 @@
 #include <random>
 #include <vector>
 
-#include "common/tile.h"
+#include "common/tile_codec.h"
 #include "server/runs.h"
 
 namespace tessera {
@@ -28,6 +28,11 @@ inline TileResult fake_answer(const FrameSpec& spec, const TileTask& task) {
         }
     }
     return result;
+}
+
+inline Bytes packed(const FrameSpec& spec, const TileResult& result) {
+    return pack_tile(tile_channels(spec), tile_rect(spec.size, result.task.tile).pixels(),
+                     result.data);
 }
 
 /// All tasks of a frame, pass by pass.

@@ -37,7 +37,9 @@ struct Assembly {
 
     explicit Assembly(const FrameSpec& s) : spec(s), assembler(s), sums(s) {}
 
-    Arrival add(const TileTask& task) { return assembler.add(fake_answer(spec, task)); }
+    Arrival add(const TileTask& task) {
+        return assembler.add(task, packed(spec, fake_answer(spec, task)));
+    }
     void fold(int band_rows) {
         while (std::optional<RunBuffer> run = assembler.take_complete()) {
             for (int y = 0; y < spec.size.height; y += band_rows)
@@ -183,20 +185,23 @@ TEST(Frame, error_estimate_is_the_standard_error_of_the_mean_of_runs) {
 TEST(Frame, results_of_the_wrong_shape_are_refused) {
     const FrameSpec spec = small_frame(Integrator::igi, 2);
     Assembly frame(spec);
-    const TileResult good = fake_answer(spec, task_of(spec, 0, 3));
+    const TileTask good = task_of(spec, 0, 3);
+    const Bytes pixels = packed(spec, fake_answer(spec, good));
     const auto broken = [&](auto change) {
-        TileResult result = good;
-        change(result);
-        EXPECT_EQ(frame.assembler.add(result), Arrival::broken);
+        TileTask task = good;
+        Bytes bytes = pixels;
+        change(task, bytes);
+        EXPECT_EQ(frame.assembler.add(task, bytes), Arrival::broken);
     };
-    broken([](TileResult& r) { r.data.pop_back(); });
-    broken([](TileResult& r) { r.data.push_back(0); });
-    broken([](TileResult& r) { r.data.clear(); });
-    broken([](TileResult& r) { r.task.tile = 100; });
-    broken([](TileResult& r) { r.task.first_pass = 2; });
-    broken([](TileResult& r) { r.task.pass_count = 2; });
-    broken([](TileResult& r) { r.task.frame = 8; });
-    EXPECT_EQ(frame.assembler.add(good), Arrival::stored);
+    broken([](TileTask&, Bytes& b) { b.pop_back(); });
+    broken([](TileTask&, Bytes& b) { b.push_back({}); });
+    broken([](TileTask&, Bytes& b) { b.clear(); });
+    broken([](TileTask&, Bytes& b) { b[0] = std::byte(3); });
+    broken([](TileTask& t, Bytes&) { t.tile = 100; });
+    broken([](TileTask& t, Bytes&) { t.first_pass = 2; });
+    broken([](TileTask& t, Bytes&) { t.pass_count = 2; });
+    broken([](TileTask& t, Bytes&) { t.frame = 8; });
+    EXPECT_EQ(frame.assembler.add(good, pixels), Arrival::stored);
 }
 
 TEST(Frame, early_stop_is_the_frame_of_fewer_passes) {
@@ -241,7 +246,7 @@ TEST(Frame, values_that_are_not_finite_do_not_reach_the_picture) {
     for (const TileTask& task : all_tasks(spec)) {
         TileResult result = fake_answer(spec, task);
         for (std::size_t i = 0; i < result.data.size(); i += 17) result.data[i] = std::nanf("");
-        frame.assembler.add(result);
+        frame.assembler.add(task, packed(spec, result));
     }
     frame.fold(10);
     for (float v : frame.sums.picture().data) ASSERT_TRUE(std::isfinite(v));

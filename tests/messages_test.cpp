@@ -41,8 +41,8 @@ TEST(Messages, kinds_have_the_published_numbers) {
         EXPECT_EQ(kind_of(random.make(kind)), kind + 1);
     EXPECT_EQ(kind_of({Hello{}, {}}), 1);
     EXPECT_EQ(kind_of({BlobChunk{}, {}}), 6);
-    EXPECT_EQ(kind_of({TileTask{}, {}}), 16);
-    EXPECT_EQ(kind_of({TileResult{}, {}}), 17);
+    EXPECT_EQ(kind_of({TileTasks{}, {}}), 16);
+    EXPECT_EQ(kind_of({TileResults{}, {}}), 17);
     EXPECT_EQ(kind_of({Pong{}, {}}), 22);
     EXPECT_EQ(kind_of({EditResult{}, {}}), 26);
     EXPECT_EQ(kind_of({Leave{}, {}}), 30);
@@ -149,11 +149,16 @@ TEST(Messages, unknown_enumerators_are_refused) {
 }
 
 TEST(Messages, tasks_and_chunks_out_of_range_are_refused) {
-    expect_refused<TileTask>([](TileTask& m) { m.pass_count = 0; });
-    expect_refused<TileTask>([](TileTask& m) { m.pass_count = 0xffffffff; });
-    expect_refused<TileTask>([](TileTask& m) { m.tile = max_tiles; });
-    expect_refused<TileResult>([](TileResult& m) { m.data.resize(5121); });
-    expect_refused<TileResult>([](TileResult& m) { m.seconds = -infinity; });
+    for (const TileTask bad : {TileTask{.pass_count = 0}, TileTask{.pass_count = 0xffffffff},
+                               TileTask{.tile = max_tiles}, TileTask{.first_pass = max_passes}}) {
+        expect_refused<TileTasks>([&](TileTasks& m) { m.tasks.push_back(bad); });
+        expect_refused<TileResults>([&](TileResults& m) { m.tiles.push_back({.task = bad}); });
+    }
+    expect_refused<TileTasks>([](TileTasks& m) { m.tasks.resize(max_tiles_together + 1); });
+    expect_refused<TileResults>([](TileResults& m) { m.tiles.resize(max_tiles_together + 1); });
+    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.seconds = -infinity}); });
+    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.pixel_bytes = 1}); });
+    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.pixel_bytes = ~0u}); });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = m.total; });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = ~std::uint64_t(0); });
     expect_refused<PictureChunk>([](PictureChunk& m) { m.total += 1; });
@@ -203,10 +208,6 @@ TEST(Messages, a_payload_is_shared_and_not_copied) {
     const auto bytes = std::make_shared<const Bytes>(8);
     const BlobChunk chunk{.blob = {}, .offset = 0, .total = 8};
     EXPECT_EQ(encode({chunk, {bytes, *bytes}}).payload.bytes.data(), bytes->data());
-    TileResult result;
-    result.data.resize(10);
-    const auto* pixels = reinterpret_cast<const std::byte*>(result.data.data());
-    EXPECT_EQ(encode({std::move(result), {}}).payload.bytes.data(), pixels);
 }
 
 TEST(Messages, errors_name_message_and_field) {

@@ -21,6 +21,11 @@ public:
             message.payload = payload(chunk->total - chunk->offset);
         if (const auto* chunk = message.get<PictureChunk>())
             message.payload = payload(std::min<std::uint64_t>(chunk->total - chunk->offset, 999));
+        if (const auto* results = message.get<TileResults>()) {
+            std::uint64_t bytes = 0;
+            for (const TileReport& tile : results->tiles) bytes += tile.pixel_bytes;
+            message.payload = payload(bytes);
+        }
         if (const auto* chunk = message.get<SumsChunk>())
             message.payload = payload(std::min<std::uint64_t>(chunk->total - chunk->offset, 999));
         return message;
@@ -267,15 +272,15 @@ private:
                 .first_pass = below(max_passes / 2),
                 .pass_count = 1 + below(max_passes / 2)};
     }
-    TileResult make_one(TileResult) {
-        TileResult out{.task = make_one(TileTask{}),
-                       .rays = big(),
-                       .sanitised = big(),
-                       .seconds = float(amount()),
-                       .data = std::vector<float>(below(5121))};
-        for (float& value : out.data) value = real();
-        return out;
+    TileTasks make_one(TileTasks) { return {list<TileTask>()}; }
+    TileReport make_one(TileReport) {
+        return {.task = make_one(TileTask{}),
+                .rays = big(),
+                .sanitised = big(),
+                .seconds = float(amount()),
+                .pixel_bytes = below(400)};
     }
+    TileResults make_one(TileResults) { return {list<TileReport>()}; }
     Failure make_one(Failure) { return {.request = big(), .reason = name()}; }
     StatusRequest make_one(StatusRequest) { return {}; }
     WorkerStatus make_one(WorkerStatus) {

@@ -98,6 +98,15 @@ struct WorkerScript {
     std::string cannot_render = {};
 };
 
+Message answer_to(const FrameSpec& spec, const TileTask& task, bool wrong) {
+    const TileResult result = fake_answer(spec, task);
+    const auto pixels = std::make_shared<Bytes>(packed(spec, result));
+    if (wrong) pixels->pop_back();
+    const TileReport report{
+        .task = task, .rays = result.rays, .pixel_bytes = std::uint32_t(pixels->size())};
+    return {TileResults{{report}}, {pixels, *pixels}};
+}
+
 /// Builds nothing and renders made-up tiles; ends with its connection.
 asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
     const auto connection = co_await join(host, Role::worker);
@@ -124,13 +133,16 @@ asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
                 connection->send({Failure{begin->spec.frame, script.cannot_render}, {}});
         }
         if (const auto* ping = message.get<Ping>()) connection->send({Pong{ping->stamp}, {}});
-        const auto* task = message.get<TileTask>();
-        if (!task || !script.cannot_render.empty() || script.ignores-- > 0) continue;
-        TileResult result = fake_answer(frames.at(task->frame), *task);
-        if (script.answers_wrong) result.data.pop_back();
-        if (script.answers_twice) connection->send_bulk({result, {}});
-        connection->send_bulk({std::move(result), {}});
-        if (++answers == script.leaves_after) connection->send({Leave{}, {}});
+        const auto* tasks = message.get<TileTasks>();
+        if (!tasks || !script.cannot_render.empty()) continue;
+        for (const TileTask& task : tasks->tasks) {
+            if (script.ignores-- > 0) continue;
+            const Message answer = answer_to(frames.at(task.frame), task, script.answers_wrong);
+            if (script.answers_twice) connection->send_bulk(answer);
+            connection->send_bulk(answer);
+            if (++answers == script.leaves_after) connection->send({Leave{}, {}});
+            if (answers == script.dies_after) break;
+        }
     }
     co_await connection->close_when_sent();
 }
@@ -210,7 +222,7 @@ FrameSums exact_sums(const FrameSpec& spec) {
     FrameAssembler assembler(spec);
     FrameSums sums(spec);
     for (TileTask task : all_tasks(spec)) {
-        assembler.add(fake_answer(spec, task));
+        assembler.add(task, packed(spec, fake_answer(spec, task)));
         if (std::optional<RunBuffer> run = assembler.take_complete()) {
             sums.fold(*run, 0, spec.size.height);
             sums.finish_run(*run);

@@ -4,10 +4,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <functional>
 
 #include "common/check.h"
 #include "common/generator.h"
+#include "common/tile_codec.h"
 #include "tests/loopback.h"
 
 namespace tessera {
@@ -115,11 +117,13 @@ FrameSpec small_frame(const SceneBundle& bundle, std::uint64_t number) {
     return spec;
 }
 
-/// Receives until a tile comes; on the way a frame may report what it made the worker build.
-asio::awaitable<TileResult> next_tile(std::shared_ptr<Connection> from) {
+Message tasks_of(std::vector<TileTask> tasks) { return {TileTasks{std::move(tasks)}, {}}; }
+
+/// Receives until tiles come; on the way a frame may report what it made the worker build.
+asio::awaitable<Message> next_tiles(std::shared_ptr<Connection> from) {
     for (;;) {
-        const Message message = co_await from->receive();
-        if (const auto* result = message.get<TileResult>()) co_return *result;
+        Message message = co_await from->receive();
+        if (message.get<TileResults>()) co_return message;
         if (!message.get<SceneReady>()) throw std::runtime_error("a tile was expected");
     }
 }
@@ -149,15 +153,25 @@ TEST(Worker, renders_two_frames_at_once_as_the_renderer_does) {
             reference.begin_frame(small_frame(bundle, frame));
             worker->send({FrameBegin{small_frame(bundle, frame)}, {}});
         }
+        std::vector<TileTask> tasks;
         for (std::uint32_t tile = 0; tile < tiles; ++tile)
             for (const std::uint64_t frame : {7, 8})
-                worker->send({TileTask{.frame = frame, .tile = tile, .pass_count = 2}, {}});
+                tasks.push_back({.frame = frame, .tile = tile, .pass_count = 2});
+        worker->send(tasks_of(tasks));
         std::set<TileTask> answered;
         while (answered.size() < 2 * tiles) {
-            const TileResult result = co_await next_tile(worker);
-            EXPECT_TRUE(answered.insert(result.task).second);
-            const auto expected = reference.render(result.task);
-            EXPECT_EQ(result.data, expected->data);
+            const Message message = co_await next_tiles(worker);
+            auto pixels = message.payload.bytes;
+            for (const TileReport& tile : message.get<TileResults>()->tiles) {
+                EXPECT_TRUE(answered.insert(tile.task).second);
+                const FrameSpec spec = small_frame(bundle, tile.task.frame);
+                const auto expected = reference.render(tile.task);
+                EXPECT_TRUE(std::ranges::equal(
+                    pixels.first(tile.pixel_bytes),
+                    pack_tile(tile_channels(spec), tile_rect(spec.size, tile.task.tile).pixels(),
+                              expected->data)));
+                pixels = pixels.subspan(tile.pixel_bytes);
+            }
         }
     });
 }
@@ -166,7 +180,7 @@ TEST(Worker, ignores_tasks_of_unknown_frames_and_answers_pings) {
     FakeServer server;
     server.run_with_worker([&]() -> asio::awaitable<void> {
         const auto worker = co_await server.accept_worker();
-        worker->send({TileTask{.frame = 99}, {}});
+        worker->send(tasks_of({{.frame = 99}}));
         worker->send({FrameEnd{98}, {}});
         worker->send({Ping{5}, {}});
         const Pong pong = co_await expect<Pong>(worker);
@@ -181,12 +195,12 @@ TEST(Worker, an_ended_frame_gives_no_more_tiles) {
         const auto worker = co_await server.accept_worker();
         co_await send_scene(worker, bundle);
         worker->send({FrameBegin{small_frame(bundle, 1)}, {}});
-        worker->send({TileTask{.frame = 1}, {}});
+        worker->send(tasks_of({{.frame = 1}}));
         worker->send({FrameEnd{1}, {}});
         worker->send({FrameBegin{small_frame(bundle, 2)}, {}});
-        worker->send({TileTask{.frame = 2}, {}});
-        const TileResult result = co_await next_tile(worker);
-        EXPECT_EQ(result.task.frame, 2u);
+        worker->send(tasks_of({{.frame = 2}}));
+        const Message message = co_await next_tiles(worker);
+        EXPECT_EQ(message.get<TileResults>()->tiles.at(0).task.frame, 2u);
     });
 }
 
@@ -252,8 +266,8 @@ TEST(Worker, a_broken_protocol_costs_the_session_only) {
         worker = co_await server.accept_worker();
         co_await send_scene(worker, bundle);
         worker->send({FrameBegin{small_frame(bundle, 1)}, {}});
-        worker->send({TileTask{.frame = 1, .tile = 1000}, {}});
-        EXPECT_THROW(co_await next_tile(worker), boost::system::system_error);
+        worker->send(tasks_of({{.frame = 1, .tile = 1000}}));
+        EXPECT_THROW(co_await next_tiles(worker), boost::system::system_error);
 
         worker = co_await server.accept_worker();
         co_await send_scene(worker, bundle);

@@ -7,7 +7,9 @@
 #include <utility>
 
 #include "common/log.h"
+#include "common/message_codec.h"
 #include "common/process.h"
+#include "common/tile_codec.h"
 
 namespace tessera {
 namespace {
@@ -16,6 +18,8 @@ namespace {
 constexpr std::size_t max_tasks = 16384;
 /// Frames that may be in flight at once.
 constexpr std::size_t max_frames = 256;
+/// A message with as many bytes of pixels gets no more tiles.
+constexpr std::size_t enough_bytes = 64u << 10;
 /// Versions of a scene kept: the newest, and the one that frames still in flight may ask for.
 constexpr std::size_t kept_versions = 2;
 
@@ -226,7 +230,11 @@ void Session::on(const FrameEnd& end) {
         [](Session&, bool) {});
 }
 
-void Session::on(const TileTask& task) {
+void Session::on(const TileTasks& tasks) {
+    for (const TileTask& task : tasks.tasks) take(task);
+}
+
+void Session::take(const TileTask& task) {
     const auto it = frames_.find(task.frame);
     if (it == frames_.end()) {
         spdlog::debug("ignores tile {} of frame {}, which is not begun", task.tile, task.frame);
@@ -245,11 +253,53 @@ void Session::on(const TileTask& task) {
 void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) {
     run_in(
         pools_.render,
-        [frame, task] { return frame->ended ? std::nullopt : frame->renderer->render(task); },
-        [frame](Session& self, std::optional<TileResult> result) {
-            // In the bulk lane, so that answers to pings pass the pixels.
-            if (result && !frame->ended) self.connection_->send_bulk({std::move(*result), {}});
+        [frame, task]() -> std::optional<FinishedTile> {
+            const auto result = frame->ended ? std::nullopt : frame->renderer->render(task);
+            if (!result) return {};
+            const ChannelSet channels = tile_channels(frame->spec);
+            const auto pixels = result->data.size() / std::size_t(floats_per_pixel(channels));
+            FinishedTile tile{{task, result->rays, result->sanitised, result->seconds},
+                              pack_tile(channels, pixels, result->data)};
+            tile.report.pixel_bytes = std::uint32_t(tile.pixels.size());
+            return tile;
+        },
+        [frame](Session& self, std::optional<FinishedTile> tile) {
+            if (!tile || frame->ended) return;
+            self.finished_.push_back(std::move(*tile));
+            if (std::exchange(self.sending_, true)) return;
+            // Later, when what else is done already has been heard of.
+            asio::post(self.executor_, [session = self.shared_from_this()] {
+                asio::co_spawn(
+                    session->executor_, [session] { return session->send_finished(); },
+                    asio::detached);
+            });
         });
+}
+
+asio::awaitable<void> Session::send_finished() {
+    try {
+        while (!finished_.empty()) {
+            // In the bulk lane, so that answers to pings pass the pixels.
+            connection_->send_bulk(take_finished());
+            co_await connection_->wait_until_drained(0);
+        }
+    } catch (const boost::system::system_error&) {
+        finished_.clear();  // run() hears of it, too
+    }
+    sending_ = false;
+}
+
+Message Session::take_finished() {
+    TileResults results;
+    const auto pixels = std::make_shared<Bytes>();
+    while (!finished_.empty() && results.tiles.size() < max_tiles_together &&
+           pixels->size() < enough_bytes) {
+        const FinishedTile& tile = finished_.front();
+        results.tiles.push_back(tile.report);
+        pixels->insert(pixels->end(), tile.pixels.begin(), tile.pixels.end());
+        finished_.pop_front();
+    }
+    return {std::move(results), {pixels, *pixels}};
 }
 
 void Session::on(const Ping& ping) {

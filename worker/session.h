@@ -1,5 +1,7 @@
 // What a worker does for one server while their connection lasts: keeps scenes, begins and ends
 // frames, hands tasks to the render threads and streams results back in the order they get done.
+// What is done while the connection is still taking what was done before goes together: a tile
+// never waits for another one, and cheap tiles share messages by themselves.
 //
 // One network thread owns all of this state and never renders or builds (Wald, "Realtime Ray
 // Tracing and Interactive Global Illumination", 2004, 8.2.5): jobs run in the pools and post what
@@ -59,12 +61,17 @@ private:
         std::vector<TileTask> waiting;  ///< until it is ready
     };
 
+    struct FinishedTile {
+        TileReport report;
+        Bytes pixels;
+    };
+
     void handle(const Message& message);
     void on(const SceneUpdate& update);
     void on(const SceneDrop& drop);
     void on(const FrameBegin& begin);
     void on(const FrameEnd& end);
-    void on(const TileTask& task);
+    void on(const TileTasks& tasks);
     void on(const Ping& ping);
 
     void build_next_scene();
@@ -75,7 +82,12 @@ private:
     /// Null when the version is not held.
     std::shared_ptr<Renderer> find_renderer(const std::string& scene, std::uint64_t version) const;
     void frame_ready(const std::shared_ptr<Frame>& frame, const std::string& error);
+    void take(const TileTask& task);
     void render(const std::shared_ptr<Frame>& frame, const TileTask& task);
+    /// Runs while anything is finished.
+    asio::awaitable<void> send_finished();
+    /// What goes in the next message.
+    Message take_finished();
     void report_ready(const std::string& scene, std::uint64_t version, const Renderer& renderer);
     void fail(std::uint64_t frame, const std::string& reason);
 
@@ -93,6 +105,8 @@ private:
     bool building_ = false;
     std::map<std::string, std::deque<BuiltVersion>> renderers_;  ///< by scene, oldest first
     std::map<std::uint64_t, std::shared_ptr<Frame>> frames_;
+    std::deque<FinishedTile> finished_;  ///< not sent yet; never more than tasks handed out
+    bool sending_ = false;
 };
 
 }  // namespace tessera

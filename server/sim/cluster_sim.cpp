@@ -12,6 +12,7 @@
 #include <unordered_map>
 
 #include "common/check.h"
+#include "common/tile_codec.h"
 #include "server/frame.h"
 #include "server/runs.h"
 
@@ -301,15 +302,15 @@ void Simulation::result_arrives(const Event& event) {
     const auto found = frames_.find(event.task.frame);
     if (found == frames_.end()) return;
     Frame& frame = *found->second;
-    TileResult result;
-    result.task = event.task;
+    std::vector<float> radiance;
     const Rect rect =
         tile_rect(config_.size, std::min(event.task.tile, tile_count(config_.size) - 1));
     for (int y = rect.y0; y < rect.y1; ++y)
         for (int i = 3 * rect.x0; i < 3 * rect.x1; ++i)
-            result.data.push_back(pattern(
+            radiance.push_back(pattern(
                 event.task, std::size_t(y) * 3 * std::size_t(config_.size.width) + std::size_t(i)));
-    if (!frame.assembler.fits(result)) {
+    const Bytes pixels = pack_tile(tile_channels(frame.spec), rect.pixels(), radiance);
+    if (!frame.assembler.fits(event.task, pixels)) {
         disconnect(event.index);
         return at(now_ + reconnect_seconds, {.what = What::join, .index = event.index});
     }
@@ -318,7 +319,7 @@ void Simulation::result_arrives(const Event& event) {
         scheduler_.completed(event.id, event.task, time_point(now_), event.seconds);
     if (answer != Answer::unknown) --worker.leases;
     if (answer == Answer::first) {
-        if (frame.assembler.add(result) != Arrival::stored)
+        if (frame.assembler.add(event.task, pixels) != Arrival::stored)
             complain(fmt::format("tile {} is counted twice or of no open run", event.task.tile));
         fold(frame);
     }

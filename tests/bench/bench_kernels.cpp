@@ -9,6 +9,7 @@
 #include "common/check.h"
 #include "common/discontinuity.h"
 #include "common/message_codec.h"
+#include "common/tile_codec.h"
 #include "common/tone_map.h"
 #include "worker/sampling.h"
 
@@ -53,22 +54,50 @@ void tone_map_a_picture(benchmark::State& state) {
 }
 BENCHMARK(tone_map_a_picture)->Unit(benchmark::kMillisecond);
 
-void send_and_receive_a_tile(benchmark::State& state) {
-    TileResult tile{.task = {.frame = 1, .tile = 2, .first_pass = 3}, .data = {}};
-    tile.data.assign(tile_size * tile_size * 14, 0.25f);
-    TileResult received;
+/// A tile as most are: noise in radiance, irradiance and depth, a few surfaces in the rest.
+std::vector<float> usual_tile(ChannelSet channels) {
+    std::vector<float> data;
+    for (int c = 0; c < channel_count; ++c) {
+        if (!channels.has(Channel(c))) continue;
+        const bool noisy = Channel(c) <= Channel::irradiance || Channel(c) == Channel::depth;
+        const int floats = floats_per_pixel(Channel(c));
+        for (int i = 0; i < tile_size * tile_size * floats; ++i)
+            data.push_back(float(noisy ? hash(std::uint32_t(i), 1) : i / (80 * floats)));
+    }
+    return data;
+}
+
+void pack_and_unpack_a_tile(benchmark::State& state) {
+    const ChannelSet channels = tile_channels({});
+    const Rect tile{0, 0, tile_size, tile_size};
+    const std::vector<float> data = usual_tile(channels);
+    std::vector<float> unpacked(data.size());
+    for (auto _ : state)
+        unpack_tile(channels, pack_tile(channels, tile.pixels(), data), tile,
+                    {tile_size, tile_size}, unpacked);
+    CHECK(unpacked == data);
+    state.SetItemsProcessed(state.iterations());
+}
+BENCHMARK(pack_and_unpack_a_tile);
+
+/// As many tiles as lie ready when they are cheap, without their pixels.
+void send_and_receive_tiles(benchmark::State& state) {
+    TileResults tiles;
+    for (std::uint32_t tile = 0; tile < std::uint32_t(state.range(0)); ++tile)
+        tiles.tiles.push_back({.task = {.frame = 1, .tile = tile}, .rays = 1000, .seconds = 1e-4f});
+    TileResults received;
     for (auto _ : state) {
-        const EncodedMessage sent = encode({tile, {}});
+        const EncodedMessage sent = encode({tiles, {}});
         const FrameHeader header =
             decode_header(std::span(sent.head).first<frame_header_bytes>(), {});
         const Message message =
             decode(header, std::span(sent.head).subspan(frame_header_bytes), sent.payload);
-        received = *message.get<TileResult>();
+        received = *message.get<TileResults>();
     }
-    CHECK(received == tile);
-    state.SetItemsProcessed(state.iterations());
+    CHECK(received == tiles);
+    state.SetItemsProcessed(state.iterations() * state.range(0));
 }
-BENCHMARK(send_and_receive_a_tile);
+BENCHMARK(send_and_receive_tiles)->Arg(1)->Arg(20);
 
 void draw_sample_points(benchmark::State& state) {
     vec2 sum(0);

@@ -17,7 +17,7 @@ import sys
 import time
 
 WORKER, VIEWER = 1, 2
-KINDS = 30  # of messages, from 1
+KINDS = 32  # of messages, from 1
 MOST_MESSAGE, MOST_PAYLOAD = 256 << 20, 4 << 20
 PATIENCE = 20  # seconds until the server must have hung up
 
@@ -29,7 +29,7 @@ def frame(kind, message=b"", payload=b"", magic=b"TSR1", reserved=0, message_byt
 
 def hello(role):
     token = os.environ.get("TESSERA_TOKEN", "").encode()
-    return frame(1, bytes([8, 2, 16, role, 34, len(token)]) + token)
+    return frame(1, bytes([8, 4, 16, role, 34, len(token)]) + token)
 
 
 def noise(most=200):

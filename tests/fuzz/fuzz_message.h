@@ -8,7 +8,7 @@
 namespace tessera {
 
 // As proto/protocol.proto numbers them.
-inline constexpr std::uint16_t kind_scene_update = 4, kind_tile_result = 17, kind_scene_edit = 25;
+inline constexpr std::uint16_t kind_scene_update = 4, kind_tile_results = 17, kind_scene_edit = 25;
 
 /// The message of that kind with this body, and payload. Throws ProtocolError.
 inline Message decode_body(std::uint16_t kind, std::span<const std::byte> body,

@@ -1,5 +1,5 @@
-// The tile that any worker may send is refused, or becomes part of a frame that can be folded and
-// shown. Input: 1 byte length of the message, the message, its payload, and so on for more tiles.
+// The tiles that any worker may send are refused, or become part of a frame that can be folded and
+// shown. Input: 1 byte length of the message, 2 bytes length of its payload, both, and so on.
 
 #include "common/check.h"
 #include "server/frame.h"
@@ -13,8 +13,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     spec.settings.passes = 2;
     FrameAssembler assembler(spec);
     FrameSums sums(spec);
-    const std::size_t payload_bytes =
-        sizeof(float) * 16 * 2 * floats_per_pixel(tile_channels(spec));
     auto rest = std::as_bytes(std::span(data, size));
     const auto take = [&](std::size_t bytes) {
         const auto taken = rest.first(std::min(bytes, rest.size()));
@@ -23,11 +21,18 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     };
     try {
         while (!rest.empty()) {
-            const auto body = take(std::size_t(take(1)[0]));
-            const Message message = decode_body(kind_tile_result, body, take(payload_bytes));
-            const auto& result = std::get<TileResult>(message.body);
-            if (!assembler.fits(result)) continue;
-            assembler.add(result);
+            const auto lengths = take(3);
+            if (lengths.size() < 3) break;
+            const auto body = take(std::size_t(lengths[0]));
+            const auto payload = take(std::size_t(lengths[1]) | std::size_t(lengths[2]) << 8);
+            const Message message = decode_body(kind_tile_results, body, payload);
+            auto pixels = message.payload.bytes;
+            for (const TileReport& tile : std::get<TileResults>(message.body).tiles) {
+                const auto own = pixels.first(tile.pixel_bytes);
+                pixels = pixels.subspan(tile.pixel_bytes);
+                CHECK_EQ(assembler.fits(tile.task, own),
+                         assembler.add(tile.task, own) != Arrival::broken);
+            }
             while (std::optional<RunBuffer> run = assembler.take_complete()) {
                 sums.fold(*run, 0, spec.size.height);
                 sums.finish_run(*run);
