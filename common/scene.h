@@ -29,8 +29,19 @@ struct TextureMap {
     bool operator==(const TextureMap&) const = default;
 };
 
+/// More parameters than any shader has.
+inline constexpr std::size_t most_shader_parameters = 256;
+
 /// What alpha means: nothing; the surface is there or not; the share of it that is there.
 enum class AlphaMode : std::uint8_t { opaque, mask, blend };
+
+/// A number (three times) or a colour that a material hands to its shader.
+struct ShaderParameter {
+    std::string name;
+    vec3 value{0};
+
+    bool operator==(const ShaderParameter&) const = default;
+};
 
 /// glTF's metallic-roughness surface with its extensions. MTL's Kd is base_color with metallic and
 /// specular 0: exactly Lambert.
@@ -54,6 +65,10 @@ struct Material {
     AlphaMode alpha_mode = AlphaMode::opaque;
     float alpha = 1;            ///< times alpha of base_color_map: how much of the surface is there
     float alpha_cutoff = 0.5f;  ///< mask: with less alpha than this the surface is not there
+    /// What changes these values from point to point: wood, marble, brick, or a plug-in of the
+    /// worker. Empty: nothing.
+    std::string shader{};
+    std::vector<ShaderParameter> shader_parameters{};  ///< others are as the shader has them
 
     bool operator==(const Material&) const = default;
 };
