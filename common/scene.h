@@ -54,7 +54,7 @@ struct Material {
     TextureMap metallic_roughness_map{};  ///< blue: metallic, green: roughness
     float specular = 0;      ///< strength of the reflecting coat of what is no metal; glTF's is 1
     float ior = 1.5f;        ///< index of refraction, at least 1
-    float transmission = 0;  ///< share of light that passes through as through smooth glass
+    float transmission = 0;  ///< share of light that passes through as through glass
     TextureMap transmission_map{};  ///< red
     bool thin_walled = false;       ///< light that passes is not refracted: a pane, no body
     vec3 emission{0};               ///< radiance

@@ -73,12 +73,12 @@ PhotonMap::PhotonMap(std::vector<Photon> photons, float radius)
     for (std::size_t i = photons.size(); i-- > 0;) photons_[--first_[bucket[i]]] = photons[i];
 }
 
-ivec3 PhotonMap::cell_of(const vec3& p) const {
+PhotonMap::Cell PhotonMap::cell_of(const vec3& p) const {
     constexpr float limit = 0x1p30f;
-    return ivec3(glm::clamp(glm::floor(p / cell_), -limit, limit));
+    return Cell(glm::clamp(glm::floor(p / cell_), -limit, limit));
 }
 
-std::uint32_t PhotonMap::bucket_of(const ivec3& cell) const {
+std::uint32_t PhotonMap::bucket_of(const Cell& cell) const {
     const auto buckets = std::uint32_t(first_.size() - 1);
     return hash(hash(std::uint32_t(cell.x), std::uint32_t(cell.y)), std::uint32_t(cell.z)) &
            (buckets - 1);

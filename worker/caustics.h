@@ -22,6 +22,7 @@
 // likelier, and weighed for it.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -53,8 +54,10 @@ public:
     void find(const SurfacePoint& s, Add add) const;
 
 private:
-    std::uint32_t bucket_of(const ivec3& cell) const;
-    ivec3 cell_of(const vec3& p) const;
+    using Cell = glm::ivec3;
+
+    std::uint32_t bucket_of(const Cell& cell) const;
+    Cell cell_of(const vec3& p) const;
 
     std::vector<Photon> photons_;       ///< by bucket
     std::vector<std::uint32_t> first_;  ///< of each bucket, and the end of the last
@@ -156,11 +159,11 @@ float photon_correction(const SurfacePoint& s, const vec3& wi);
 template <class Add>
 void PhotonMap::find(const SurfacePoint& s, Add add) const {
     if (photons_.empty()) return;
-    const ivec3 low = cell_of(s.p - radius_);
+    const Cell low = cell_of(s.p - radius_);
     const float r2 = radius_ * radius_;
     std::uint32_t seen[8];
     for (std::uint32_t i = 0; i < 8; ++i) {
-        const std::uint32_t bucket = bucket_of(low + ivec3(i & 1, i >> 1 & 1, i >> 2));
+        const std::uint32_t bucket = bucket_of(low + Cell(i & 1, i >> 1 & 1, i >> 2));
         seen[i] = bucket;
         // Two cells may share a bucket.
         if (std::find(seen, seen + i, bucket) != seen + i) continue;

@@ -151,7 +151,9 @@ bool meets_delta(const Bsdf& bsdf, Sampler& sampler, vec3& carried) {
 
 bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray) {
     const bool choice = s.bsdf.delta != Bsdf::Delta::mirror;
-    const auto passed = sample_delta(s.bsdf, s.n, s.wo, choice ? sampler.next().x : 0);
+    const float u = choice ? sampler.next().x : 0;
+    const vec2 u_facet = s.bsdf.delta_alpha > 0 ? sampler.next() : vec2(0);
+    const auto passed = sample_delta(s.bsdf, s.n, s.wo, u, u_facet);
     // A shading normal may send light through the surface that shall reflect it.
     if (!passed || (dot(passed->wi, s.ng) > 0) != (dot(passed->wi, s.n) > 0)) return false;
     carried *= passed->weight;

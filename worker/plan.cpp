@@ -45,9 +45,7 @@ void note_glass(ScenePlan& plan, const Scene& scene) {
     note(plan, glass, "glass", " materials");
     const auto frosted = count_materials(
         scene, [](const Material& m) { return m.transmission > 0 && m.roughness > 0; });
-    if (frosted > 0)
-        plan.left_out.push_back(
-            fmt::format("rough glass: {} materials modelled as smooth", frosted));
+    note(plan, frosted, "rough glass", " materials (GGX); light between their microfacets is lost");
     if (glass > 0)
         plan.left_out.push_back(
             "shadow rays through glass: it blocks them; light that passes comes by photons, and by "
