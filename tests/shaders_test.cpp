@@ -210,6 +210,20 @@ TEST(ShaderInSceneTest, UnknownShadersAndParametersAreReportedAndIgnored) {
     EXPECT_EQ(seen(bundle, {0, 2, 0}).bsdf.diffuse, vec3(0.7f)) << "the plain material";
 }
 
+TEST(ShaderInSceneTest, PictureIsDarkerWhereTheTextureIs) {
+    SceneBundle bundle;
+    Material m = with_shader("marble");
+    add_shape(bundle, square(1, 0), m);
+    add_shape(bundle, square(1, 2, false), emitter(vec3(1)));
+    const Camera camera{.name = "", .eye = {1.5f, 1, 0}, .at = {0, 0, 0}, .fov_y = 40};
+    const FrameSpec spec = frame_of(Integrator::igi, {16, 16}, camera, 4);
+    const vec3 veined = mean_radiance(bundle, spec);
+    bundle.scene.materials[0].shader.clear();
+    const vec3 plain = mean_radiance(bundle, spec);
+    EXPECT_LT(veined.x, 0.9f * plain.x);
+    EXPECT_GT(veined.x, 0.3f * plain.x);
+}
+
 // ---- plug-ins -----------------------------------------------------------------------------------
 
 TEST(PluginTest, AreLoadedOrComplainedAboutByFile) {

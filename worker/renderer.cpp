@@ -238,9 +238,9 @@ struct Renderer::State {
           surfaces(scene, blobs, before ? &before->surfaces : nullptr, renderer_config.shaders),
           lights(surfaces, surfaces.bounds()),
           caustics(surfaces),
-          has_rest(std::any_of(scene.materials.begin(), scene.materials.end(),
-                               [&](const Material& m) { return surfaces.has_rest(m); })),
-          plan(make_plan(scene, surfaces, lights, caustics)) {
+          has_rest(std::ranges::any_of(surfaces.scene().materials,
+                                       [&](const Material& m) { return surfaces.has_rest(m); })),
+          plan(make_plan(surfaces.scene(), surfaces, lights, caustics)) {
         if (!before) return;
         const std::lock_guard lock(before->build_mutex);
         for (std::size_t i = 0; i < tracers.size(); ++i)

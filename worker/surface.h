@@ -98,9 +98,9 @@ public:
     std::uint64_t sanitised_texels() const;
     /// A sentence for each shader and parameter that materials ask for and this worker lacks.
     const std::vector<std::string>& shader_complaints() const { return shader_complaints_; }
-    /// Whether the material can reflect or refract ideally.
+    /// Whether the material, one of scene()'s, can reflect or refract ideally.
     bool may_be_ideal(const Material& material) const;
-    /// Whether the material can have lobes that are not broad.
+    /// The same for lobes that are not broad.
     bool has_rest(const Material& material) const;
 
     const Scene& scene() const { return scene_; }
