@@ -77,13 +77,22 @@ const T& find(const std::vector<T>& table, const char* kind, const std::string& 
 
 std::string text(const vec3& v) { return fmt::format("{:g},{:g},{:g}", v.x, v.y, v.z); }
 
+std::string shader_text(const Material& m) {
+    if (m.shader.empty()) return {};
+    std::string out = " shader=" + m.shader;
+    for (const ShaderParameter& p : m.shader_parameters)
+        out += fmt::format(" shader.{}={}", p.name, text(p.value));
+    return out;
+}
+
 void print_table(const Scene& scene) {
     for (const Instance& i : scene.instances)
         fmt::print("instance  {:<24} at {:<28} object '{}'\n", i.name,
                    text(vec3(i.world_from_object[3])), scene.objects[i.object].name);
     for (const Material& m : scene.materials)
-        fmt::print("material  {:<24} base_color={} metallic={:g} roughness={:g} emission={}\n",
-                   m.name, text(m.base_color), m.metallic, m.roughness, text(m.emission));
+        fmt::print("material  {:<24} base_color={} metallic={:g} roughness={:g} emission={}{}\n",
+                   m.name, text(m.base_color), m.metallic, m.roughness, text(m.emission),
+                   shader_text(m));
     for (const Light& l : scene.lights)
         fmt::print("light     {:<24} {} position={} direction={} intensity={}\n", l.name,
                    light_kind_name(l.kind), text(l.position), text(l.direction), text(l.intensity));

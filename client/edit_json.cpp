@@ -73,6 +73,21 @@ public:
         return value;
     }
 
+    /// Fields named shader.NAME: colours, or numbers.
+    std::vector<ShaderParameter> shader_parameters() {
+        constexpr std::string_view prefix = "shader.";
+        std::vector<ShaderParameter> out;
+        for (const auto& [name, value] : object_.items()) {
+            if (!name.starts_with(prefix)) continue;
+            read_[name] = true;
+            const std::vector<float> v =
+                numbers(name, value, value.is_array() && value.size() > 1 ? 3 : 1);
+            out.push_back(
+                {name.substr(prefix.size()), v.size() == 3 ? vec3(v[0], v[1], v[2]) : vec3(v[0])});
+        }
+        return out;
+    }
+
     void check_all_read() const {
         for (const auto& [name, value] : object_.items())
             if (!read_.contains(name)) complain("nobody knows what `{}` is", name);
@@ -113,6 +128,8 @@ EditOperation material_of(const std::string& name, const json& values) {
     fields.read("metallic", edit.metallic);
     fields.read("roughness", edit.roughness);
     fields.read("emission", edit.emission);
+    if (fields.has("shader")) edit.shader = fields.text("shader");
+    edit.shader_parameters = fields.shader_parameters();
     fields.check_all_read();
     return edit;
 }
@@ -247,6 +264,7 @@ json value_of_text(const std::string& text) {
         if (!number.is_number()) return text;
         list.push_back(number);
     }
+    if (list.empty()) return text;
     return list;
 }
 
@@ -277,11 +295,9 @@ const char* light_kind_name(LightKind kind) {
 json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
 
 json json_of(const Material& m) {
-    return {{"name", m.name},
-            {"base_color", json_of(m.base_color)},
-            {"metallic", m.metallic},
-            {"roughness", m.roughness},
-            {"emission", json_of(m.emission)}};
+    return {
+        {"name", m.name},           {"base_color", json_of(m.base_color)}, {"metallic", m.metallic},
+        {"roughness", m.roughness}, {"emission", json_of(m.emission)},     {"shader", m.shader}};
 }
 
 json json_of(const Camera& c) {

@@ -100,12 +100,13 @@ LocalCluster::LocalCluster(const LocalClusterConfig& config)
     for (int i = 0; i < config.workers; ++i) {
         const std::string name = fmt::format("worker-{}", i + 1);
         const std::string server = config.route ? config.route(i, address_) : address_;
+        std::vector<std::string> arguments{
+            "--server", server,  "--threads",      std::to_string(threads), "--name",
+            name,       "--log", config.log_level, "--exit-with-parent",    own_pid};
+        if (!config.plugins.empty())
+            arguments.insert(arguments.end(), {"--plugins", config.plugins});
         const pid_t pid =
-            spawn("tessera-worker",
-                  with_keys({"--server", server, "--threads", std::to_string(threads), "--name",
-                             name, "--log", config.log_level, "--exit-with-parent", own_pid},
-                            "worker"),
-                  STDERR_FILENO);
+            spawn("tessera-worker", with_keys(std::move(arguments), "worker"), STDERR_FILENO);
         children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
     }
 }

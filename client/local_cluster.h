@@ -18,6 +18,7 @@ namespace tessera {
 struct LocalClusterConfig {
     int workers = 1;
     int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
+    std::string plugins = {};  ///< folder of the workers' shader plug-ins; empty: none
     std::string log_level = "warning";
     std::string trace = {};  ///< file for the timeline of the last frame; empty: none
     /// Where worker i, from 0, is to find the server at the given address; empty: there.

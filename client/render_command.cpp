@@ -386,6 +386,11 @@ void add_cluster_options(CLI::App* command, RenderOptions& o) {
         ->check(CLI::Range(1, 1024))
         ->excludes(server);
     command
+        ->add_option("--plugins", o.cluster.plugins,
+                     "folder of shader plug-ins for the embedded workers")
+        ->type_name("FOLDER")
+        ->excludes(server);
+    command
         ->add_option(
             "--trace", o.cluster.trace,
             "who rendered which tile when, as a JSON file for chrome://tracing or Perfetto")

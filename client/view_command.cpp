@@ -186,6 +186,11 @@ void add_view_command(CLI::App& app) {
     command->add_option("--threads", options->cluster.threads, "render threads of each of them")
         ->check(CLI::Range(1, 1024))
         ->excludes(server);
+    command
+        ->add_option("--plugins", options->cluster.plugins,
+                     "folder of shader plug-ins for the workers on this machine")
+        ->type_name("FOLDER")
+        ->excludes(server);
     auto* frames = command
                        ->add_option("--frames", options->pictures,
                                     "for scripts: end after so many pictures in a window of --size")

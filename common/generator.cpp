@@ -30,6 +30,8 @@ constexpr Generator generators[] = {
     {"foliage", "leaves in sun and sky, nothing smooth anywhere: 120,000 leaves", generate_foliage},
     {"building", "thirty furnished rooms around an atrium, each different: a million triangles",
      generate_building},
+    {"shading", "wood, marble and brick under a lamp: what material shaders do, 3,000 triangles",
+     generate_shading},
     {"sunflowers", "a field of 28,000 instances of ten sunflowers: a billion triangles",
      generate_sunflowers},
     {"robots",

@@ -234,6 +234,15 @@ void unpack(const wire::TextureMap& in, TextureMap& v) {
     v.rotation = in.rotation();
 }
 
+void pack(const ShaderParameter& v, wire::ShaderParameter& out) {
+    out.set_name(v.name);
+    pack(v.value, *out.mutable_value());
+}
+void unpack(const wire::ShaderParameter& in, ShaderParameter& v) {
+    v.name = in.name();
+    unpack(in.value(), v.value);
+}
+
 void pack(const Material& v, wire::Material& out) {
     out.set_name(v.name);
     pack(v.base_color, *out.mutable_base_color());
@@ -254,6 +263,8 @@ void pack(const Material& v, wire::Material& out) {
     out.set_alpha_mode(pack_enum<wire::AlphaMode>(v.alpha_mode));
     out.set_alpha(v.alpha);
     out.set_alpha_cutoff(v.alpha_cutoff);
+    out.set_shader(v.shader);
+    for (const ShaderParameter& p : v.shader_parameters) pack(p, *out.add_shader_parameters());
 }
 void unpack(const wire::Material& in, Material& v) {
     v.name = in.name();
@@ -275,6 +286,8 @@ void unpack(const wire::Material& in, Material& v) {
     v.alpha_mode = unpack_enum(in.alpha_mode(), AlphaMode::blend, "alpha mode");
     v.alpha = in.alpha();
     v.alpha_cutoff = in.alpha_cutoff();
+    v.shader = in.shader();
+    for (const auto& p : in.shader_parameters()) unpack(p, v.shader_parameters.emplace_back());
 }
 
 void pack(const Environment& v, wire::Environment& out) {
@@ -499,6 +512,8 @@ void pack(const SetMaterial& v, wire::SetMaterial& out) {
     if (v.metallic) out.set_metallic(*v.metallic);
     if (v.roughness) out.set_roughness(*v.roughness);
     if (v.emission) pack(*v.emission, *out.mutable_emission());
+    if (v.shader) out.set_shader(*v.shader);
+    for (const ShaderParameter& p : v.shader_parameters) pack(p, *out.add_shader_parameters());
 }
 void unpack(const wire::SetMaterial& in, SetMaterial& v) {
     v.material = in.material();
@@ -506,6 +521,8 @@ void unpack(const wire::SetMaterial& in, SetMaterial& v) {
     v.metallic = optional_of(in.has_metallic(), in.metallic());
     v.roughness = optional_of(in.has_roughness(), in.roughness());
     v.emission = optional_of(in.has_emission(), in.emission());
+    if (in.has_shader()) v.shader = in.shader();
+    for (const auto& p : in.shader_parameters()) unpack(p, v.shader_parameters.emplace_back());
 }
 
 void pack(const SetLight& v, wire::SetLight& out) {

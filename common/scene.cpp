@@ -45,6 +45,10 @@ void validate_material(const Scene& scene, std::size_t i) {
                 std::isfinite(m.normal_scale) && std::isfinite(m.alpha) &&
                 std::isfinite(m.alpha_cutoff),
             "material", i, "values are not finite");
+    require(m.shader_parameters.size() <= most_shader_parameters, "material", i,
+            "too many parameters for a shader");
+    for (const ShaderParameter& p : m.shader_parameters)
+        require(tessera::is_finite(p.value), "material", i, "a shader's parameter is not finite");
     require(m.ior >= 1 && std::isfinite(m.ior), "material", i, "index of refraction is below 1");
 }
 

@@ -29,8 +29,19 @@ struct TextureMap {
     bool operator==(const TextureMap&) const = default;
 };
 
+/// More parameters than any shader has.
+inline constexpr std::size_t most_shader_parameters = 256;
+
 /// What alpha means: nothing; the surface is there or not; the share of it that is there.
 enum class AlphaMode : std::uint8_t { opaque, mask, blend };
+
+/// A number (three times) or a colour that a material hands to its shader.
+struct ShaderParameter {
+    std::string name;
+    vec3 value{0};
+
+    bool operator==(const ShaderParameter&) const = default;
+};
 
 /// glTF's metallic-roughness surface with its extensions. MTL's Kd is base_color with metallic and
 /// specular 0: exactly Lambert.
@@ -43,7 +54,7 @@ struct Material {
     TextureMap metallic_roughness_map{};  ///< blue: metallic, green: roughness
     float specular = 0;      ///< strength of the reflecting coat of what is no metal; glTF's is 1
     float ior = 1.5f;        ///< index of refraction, at least 1
-    float transmission = 0;  ///< share of light that passes through as through smooth glass
+    float transmission = 0;  ///< share of light that passes through as through glass
     TextureMap transmission_map{};  ///< red
     bool thin_walled = false;       ///< light that passes is not refracted: a pane, no body
     vec3 emission{0};               ///< radiance
@@ -54,6 +65,10 @@ struct Material {
     AlphaMode alpha_mode = AlphaMode::opaque;
     float alpha = 1;            ///< times alpha of base_color_map: how much of the surface is there
     float alpha_cutoff = 0.5f;  ///< mask: with less alpha than this the surface is not there
+    /// What changes these values from point to point: wood, marble, brick, or a plug-in of the
+    /// worker. Empty: nothing.
+    std::string shader{};
+    std::vector<ShaderParameter> shader_parameters{};  ///< others are as the shader has them
 
     bool operator==(const Material&) const = default;
 };

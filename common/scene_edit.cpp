@@ -74,6 +74,10 @@ void require_valid(const Material& m) {
     require(within(m.roughness, 0, 1), "roughness must be 0 to 1");
     require(within(m.emission, 0, std::numeric_limits<float>::max()),
             "emission must not be negative");
+    require(m.shader_parameters.size() <= most_shader_parameters,
+            "the shader has too many parameters");
+    for (const ShaderParameter& p : m.shader_parameters)
+        require(is_finite(p.value), "a shader's parameters must be finite");
 }
 
 void require_valid(const Light& l) {
@@ -97,6 +101,15 @@ void require_valid(const Camera& c) {
 template <class T>
 void set(T& field, const std::optional<T>& value) {
     if (value) field = *value;
+}
+
+void set(Material& material, const ShaderParameter& parameter) {
+    auto& all = material.shader_parameters;
+    const auto found = std::ranges::find(all, parameter.name, &ShaderParameter::name);
+    if (found != all.end())
+        found->value = parameter.value;
+    else
+        all.push_back(parameter);
 }
 
 /// A scene being edited. Each call of `apply` changes all that it says or throws
@@ -137,6 +150,9 @@ public:
         set(material.metallic, edit.metallic);
         set(material.roughness, edit.roughness);
         set(material.emission, edit.emission);
+        if (edit.shader && *edit.shader != material.shader) material.shader_parameters.clear();
+        set(material.shader, edit.shader);
+        for (const ShaderParameter& p : edit.shader_parameters) set(material, p);
         require_valid(material);
         held = std::move(material);
     }

@@ -40,6 +40,8 @@ struct SetMaterial {
     std::optional<float> metallic{};
     std::optional<float> roughness{};
     std::optional<vec3> emission{};
+    std::optional<std::string> shader{};  ///< another one starts with its own parameters
+    std::vector<ShaderParameter> shader_parameters{};  ///< others of that shader stay
 
     bool operator==(const SetMaterial&) const = default;
 };

@@ -132,7 +132,7 @@ TEST(Bsdf, LobesAddUp) {
 }
 
 TEST(Bsdf, GlassBendsLightAsSnellSaysAndKeepsIt) {
-    SurfaceLook look{.base_color = vec3(1), .transmission = 1};
+    SurfaceLook look{.base_color = vec3(1), .roughness = 0, .transmission = 1};
     for (const bool outside : {true, false})
         for (const float cosine : {0.05f, 0.5f, 0.74f, 0.76f, 1.0f}) {
             const vec3 wo = at_cosine(cosine);
@@ -154,6 +154,93 @@ TEST(Bsdf, GlassBendsLightAsSnellSaysAndKeepsIt) {
             EXPECT_NEAR(fresnel_dielectric(-refracted->wi.z, back.eta), reflectance, 1e-4f);
             EXPECT_NEAR(refracted->radiance_scale * back.eta * back.eta, 1, 1e-5f);
         }
+}
+
+/// Share of light from wo that rough glass sends into each of `bins` equal steps of wi.z, by Walter
+/// et al.'s formulas (2007, equations 13 to 21), integrated.
+std::vector<double> walter_shares(const vec3& wo, float alpha, float eta, std::size_t bins) {
+    const auto g1 = [&](float c) {
+        return 2 * c / (c + std::sqrt(alpha * alpha + (1 - alpha * alpha) * c * c));
+    };
+    std::vector<double> shares(bins);
+    constexpr int rows = 1600, columns = 800;
+    for (int row = 0; row < rows; ++row) {
+        for (int column = 0; column < columns; ++column) {
+            const float z = 2 * (float(row) + 0.5f) / rows - 1;
+            const float phi = 2 * pi * (float(column) + 0.5f) / columns;
+            const float r = std::sqrt(1 - z * z);
+            const vec3 wi(r * std::cos(phi), r * std::sin(phi), z);
+            // `eta`: index on wo's side over the other's.
+            const bool reflects = z > 0;
+            const vec3 sum = reflects ? wo + wi : eta * wo + wi;
+            const vec3 h = normalize(sum.z > 0 ? sum : -sum);
+            const float cos_o = dot(wo, h), cos_i = dot(wi, h);
+            if (!(h.z > 0 && cos_o > 0 && (cos_i > 0) == reflects)) continue;
+            const float fresnel = fresnel_dielectric(cos_o, eta);
+            const float d =
+                alpha * alpha / (pi * std::pow(h.z * h.z * (alpha * alpha - 1) + 1, 2.0f));
+            const float visible = g1(wo.z) * cos_o * d / wo.z;
+            const float jacobian =
+                reflects ? 1 / (4 * cos_o) : -cos_i / std::pow(eta * cos_o + cos_i, 2.0f);
+            const float share =
+                visible * jacobian * g1(std::abs(z)) * (reflects ? fresnel : 1 - fresnel);
+            shares[std::size_t(float(bins) * (z + 1) / 2)] +=
+                double(share * 4 * pi / rows / columns);
+        }
+    }
+    return shares;
+}
+
+TEST(Bsdf, RoughGlassScattersAsItsFormulasSay) {
+    for (const float roughness : {0.4f, 0.6f, 1.0f}) {
+        for (const bool outside : {true, false}) {
+            const SurfaceLook look{
+                .base_color = vec3(1), .roughness = roughness, .transmission = 1};
+            const vec3 wo = at_cosine(0.8f);
+            const Bsdf bsdf = make_bsdf(look, wo.z, outside);
+            constexpr std::size_t bins = 12;
+            const auto expected = walter_shares(wo, bsdf.delta_alpha, bsdf.eta, bins);
+            std::vector<double> found(bins);
+            constexpr std::uint32_t count = 1 << 18;
+            double all = 0;
+            for (std::uint32_t i = 0; i < count; ++i) {
+                Sampler sampler(i, 1);
+                const float u = sampler.next().x;
+                const auto s = sample_delta(bsdf, up, wo, u, sampler.next());
+                if (!s) continue;
+                EXPECT_NEAR(length(s->wi), 1, 1e-4f);
+                const auto bin = std::size_t(double(bins) * (double(s->wi.z) + 1) / 2);
+                found[std::min(bin, bins - 1)] += double(s->weight.x) / count;
+                all += double(s->weight.x) / count;
+            }
+            for (std::size_t i = 0; i < bins; ++i)
+                EXPECT_NEAR(found[i], expected[i], 0.004) << roughness << outside << i;
+            EXPECT_LE(all, 1);
+            EXPECT_GT(all, outside && roughness < 0.7f ? 0.9 : 0.4)
+                << "what is lost between facets";
+        }
+    }
+}
+
+TEST(Bsdf, RoughPaneKeepsLightAndSpreadsIt) {
+    const SurfaceLook look{
+        .base_color = vec3(1), .roughness = 0.3f, .transmission = 1, .thin_walled = true};
+    const vec3 wo = at_cosine(0.7f);
+    const Bsdf bsdf = make_bsdf(look, wo.z);
+    double all = 0;
+    vec3 mean(0);
+    constexpr std::uint32_t count = 1 << 14;
+    for (std::uint32_t i = 0; i < count; ++i) {
+        Sampler sampler(i, 1);
+        const float u = sampler.next().x;
+        const auto s = sample_delta(bsdf, up, wo, u, sampler.next());
+        if (!s) continue;
+        all += double(s->weight.x) / count;
+        if (s->wi.z < 0) mean += s->wi / float(count);
+    }
+    EXPECT_GT(all, 0.97);
+    EXPECT_LE(all, 1);
+    EXPECT_GT(dot(normalize(mean), -wo), 0.99f);
 }
 
 }  // namespace

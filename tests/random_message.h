@@ -87,6 +87,7 @@ private:
                 .scale = {real(), real()},
                 .rotation = real()};
     }
+    ShaderParameter make_one(ShaderParameter) { return {name(), vector()}; }
     Material make_one(Material) {
         return {.name = name(),
                 .base_color = vector(),
@@ -106,7 +107,9 @@ private:
                 .normal_scale = real(),
                 .alpha_mode = one_of(AlphaMode::blend),
                 .alpha = real(),
-                .alpha_cutoff = real()};
+                .alpha_cutoff = real(),
+                .shader = coin() ? name() : "",
+                .shader_parameters = list<ShaderParameter>()};
     }
     Environment environment() {
         return {.radiance = vector(), .texture = int(below(5)) - 1, .rotation = real()};
@@ -327,8 +330,13 @@ private:
             case 2:
                 return DeleteInstance{name()};
             case 3:
-                return SetMaterial{name(), maybe_vector(), maybe_real(), maybe_real(),
-                                   maybe_vector()};
+                return SetMaterial{name(),
+                                   maybe_vector(),
+                                   maybe_real(),
+                                   maybe_real(),
+                                   maybe_vector(),
+                                   coin() ? std::optional(name()) : std::nullopt,
+                                   list<ShaderParameter>()};
             case 4:
                 return SetLight{name(),         maybe_vector(), maybe_vector(),
                                 maybe_vector(), maybe_real(),   maybe_real()};

@@ -166,7 +166,20 @@ void add_coat(const SurfaceLook& look, const vec3& base, float cos_o, Bsdf& b) {
     b.diffuse_scale = 1 / std::max(coat_leaves(b, albedo_table().mean(b.alpha)), 1e-6f);
 }
 
-/// Lets a share of the light meet smooth glass in place of the other lobes.
+vec3 visible_facet(const vec3& n, const vec3& wo, float alpha, const vec2& u) {
+    const Frame frame(n);
+    return frame.world_from_local(sample_visible_normal(frame.local_from_world(wo), alpha, u));
+}
+
+/// What rough glass sends along `s`, `cosine` from the normal of the side that it must leave on:
+/// what other facets do not catch.
+std::optional<BsdfSample> unshadowed(const Bsdf& bsdf, float cosine, BsdfSample s) {
+    if (!(cosine > 0)) return {};
+    s.weight *= masking(cosine, bsdf.delta_alpha);
+    return s;
+}
+
+/// Lets a share of the light meet glass in place of the other lobes.
 void add_glass(const SurfaceLook& look, const vec3& base, bool outside, Bsdf& b) {
     const float share =
         std::clamp(look.transmission, 0.0f, 1.0f) * (1 - std::clamp(look.metallic, 0.0f, 1.0f));
@@ -175,6 +188,8 @@ void add_glass(const SurfaceLook& look, const vec3& base, bool outside, Bsdf& b)
     b.delta_share = share;
     b.delta_tint = base;
     b.eta = outside || look.thin_walled ? 1 / look.ior : look.ior;
+    const float alpha = std::min(look.roughness * look.roughness, 1.0f);
+    b.delta_alpha = alpha > least_alpha ? alpha : 0;
     b.glossy &= share < 1;
     b.diffuse *= 1 - share;
     b.specular *= 1 - share;
@@ -261,22 +276,32 @@ std::optional<BsdfSample> sample(const Bsdf& bsdf, const vec3& n, const vec3& wo
     return s;
 }
 
-std::optional<BsdfSample> sample_delta(const Bsdf& bsdf, const vec3& n, const vec3& wo, float u) {
-    const float cosine = std::min(dot(n, wo), 1.0f);
+std::optional<BsdfSample> sample_delta(const Bsdf& bsdf, const vec3& n, const vec3& wo, float u,
+                                       const vec2& u_facet) {
+    if (!(dot(n, wo) > 0)) return {};
+    const bool rough = bsdf.delta_alpha > 0;
+    const vec3 h = rough ? visible_facet(n, wo, bsdf.delta_alpha, u_facet) : n;
+    const float cosine = std::min(dot(h, wo), 1.0f);
     if (!(cosine > 0)) return {};
-    const vec3 reflected = 2 * cosine * n - wo;
+    const vec3 reflected = 2 * cosine * h - wo;
     if (bsdf.delta == Bsdf::Delta::mirror) return BsdfSample{reflected, bsdf.delta_tint, 0};
+    const bool thin = bsdf.delta == Bsdf::Delta::thin_glass;
     float reflectance = fresnel_dielectric(cosine, bsdf.eta);
-    const vec3 share(bsdf.delta_share);
-    if (bsdf.delta == Bsdf::Delta::thin_glass) {
-        // Light goes to and fro between the two sides: the sum of the geometric series.
-        reflectance = 2 * reflectance / (1 + reflectance);
-        if (!(u < reflectance)) return BsdfSample{-wo, share * bsdf.delta_tint, 0};
+    // Light goes to and fro between the two sides of a pane: the sum of the geometric series.
+    if (thin) reflectance = 2 * reflectance / (1 + reflectance);
+    BsdfSample s{reflected, vec3(bsdf.delta_share), 0};
+    if (u < reflectance) return rough ? unshadowed(bsdf, dot(n, s.wi), s) : s;
+    s.weight *= bsdf.delta_tint;
+    if (thin) {
+        // What a rough pane lets through spreads as what it reflects.
+        s.wi = rough ? reflected - 2 * dot(reflected, n) * n : -wo;
+    } else {
+        const float cos_t =
+            std::sqrt(std::max(0.0f, 1 - bsdf.eta * bsdf.eta * (1 - cosine * cosine)));
+        s.wi = normalize((bsdf.eta * cosine - cos_t) * h - bsdf.eta * wo);
+        s.radiance_scale = bsdf.eta * bsdf.eta;
     }
-    if (u < reflectance) return BsdfSample{reflected, share, 0};
-    const float cos_t = std::sqrt(std::max(0.0f, 1 - bsdf.eta * bsdf.eta * (1 - cosine * cosine)));
-    return BsdfSample{normalize((bsdf.eta * cosine - cos_t) * n - bsdf.eta * wo),
-                      share * bsdf.delta_tint, 0, bsdf.eta * bsdf.eta};
+    return rough ? unshadowed(bsdf, -dot(n, s.wi), s) : s;
 }
 
 }  // namespace tessera

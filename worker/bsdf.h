@@ -4,10 +4,13 @@
 // Lambert; GGX reflection with height-correlated shadowing (Heitz, "Understanding the
 // Masking-Shadowing Function in Microfacet-Based BRDFs", 2014), sampled by visible normals (Heitz,
 // "Sampling the GGX Distribution of Visible Normals", 2018), Schlick's Fresnel term; mirrors and
-// smooth glass. Under a glossy coat the diffuse lobe gets what the coat leaves, coming and going
-// (Kelemen and Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model", 2001): white
-// coated surfaces reflect all light. We differ from glTF's example in that only, and like it follow
-// no second reflection between microfacets, so rough metal is a little dark.
+// glass, smooth or rough (Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction
+// through Rough Surfaces", 2007). Rough glass is followed like smooth glass, by a ray that meets
+// one of its microfacets: it has no value to be evaluated. Under a glossy coat the diffuse lobe
+// gets what the coat leaves, coming and going (Kelemen and Szirmay-Kalos, "A Microfacet Based
+// Coupled Specular-Matte BRDF Model", 2001): white coated surfaces reflect all light. We differ
+// from glTF's example in that only, and like it follow no second reflection between microfacets, so
+// rough metal is a little dark.
 #pragma once
 
 #include <cstdint>
@@ -29,7 +32,8 @@ constexpr bool includes(Lobes set, Lobes lobe) {
 /// What scatters light at one point, as seen from a direction `wo`: with that wo alone it may be
 /// evaluated and sampled.
 struct Bsdf {
-    /// Ideal reflection and refraction, which have no finite value.
+    /// Ideal reflection and refraction, which have no finite value: of mirrors, of smooth glass,
+    /// and of each microfacet of rough glass.
     enum class Delta : std::uint8_t { none, mirror, glass, thin_glass };
 
     vec3 diffuse{0};          ///< share of light from wo that the diffuse lobe scatters, in [0, 1]
@@ -41,6 +45,7 @@ struct Bsdf {
     float delta_share = 0;    ///< chance that light meets the ideal lobes rather than the others
     vec3 delta_tint{0};       ///< mirror: reflectance; glass: what a refraction lets through
     float eta = 1;            ///< glass: index of refraction on wo's side over the other's
+    float delta_alpha = 0;    ///< GGX roughness of glass; 0: smooth
     bool glossy = false;      ///< has the GGX lobe
     Delta delta = Delta::none;
 
@@ -119,8 +124,10 @@ std::optional<BsdfSample> sample(const Bsdf& bsdf, const vec3& n, const vec3& wo
                                  const vec2& u, Lobes lobes = Lobes::all);
 
 /// Chooses between reflection and refraction by Fresnel's law. Call only when there are ideal
-/// lobes; their share is part of the weight.
-std::optional<BsdfSample> sample_delta(const Bsdf& bsdf, const vec3& n, const vec3& wo, float u);
+/// lobes; their share is part of the weight. `u_facet` chooses a microfacet of rough glass. Light
+/// that meets a second one is lost.
+std::optional<BsdfSample> sample_delta(const Bsdf& bsdf, const vec3& n, const vec3& wo, float u,
+                                       const vec2& u_facet = vec2(0));
 
 /// Reflectance of a smooth dielectric; `eta`: index of refraction on this side over the other's.
 float fresnel_dielectric(float cos_i, float eta);

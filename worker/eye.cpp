@@ -43,11 +43,11 @@ void trace_from_eye(const Tracer& tracer, std::span<const Ray> rays, std::span<H
 
 /// Follows eye rays to the first surface that scatters, adds what emits on the way to its pixel and
 /// the end to `receivers`, and calls `arrive` with each path, the hit and the receiver. Returns the
-/// number of rays traced.
+/// number of rays traced. `pixel_width`: at unit distance.
 template <class Arrive>
-std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector<Ray> rays,
-                     std::span<PixelSample> pixels, std::vector<Receiver>& receivers,
-                     Arrive arrive) {
+std::uint64_t follow(const World& world, float pixel_width, std::vector<EyePath> paths,
+                     std::vector<Ray> rays, std::span<PixelSample> pixels,
+                     std::vector<Receiver>& receivers, Arrive arrive) {
     TriangleCache cache;
     std::vector<Hit> hits(rays.size());
     trace_from_eye(world.tracer, rays, hits);
@@ -63,8 +63,8 @@ std::uint64_t follow(const World& world, std::vector<EyePath> paths, std::vector
             EyePath path = paths[i];
             Receiver& receiver = receivers.emplace_back();
             SurfacePoint& s = receiver.surface;
-            world.surfaces.find(rays[i], hits[i], cache, s);
             path.length += hits[i].t * length(rays[i].dir);
+            world.surfaces.find(rays[i], hits[i], cache, s, path.length * pixel_width);
             pixels[path.pixel].emitted += path.throughput * s.emission;
             if (!meets_delta(s.bsdf, path.sampler, path.throughput)) {
                 receiver.pixel = path.pixel;
@@ -135,7 +135,7 @@ std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TileP
         }
     }
     std::vector<Receiver> unused;
-    return follow(world, std::move(paths), std::move(rays), pixels, unused,
+    return follow(world, camera.pixel_width(), std::move(paths), std::move(rays), pixels, unused,
                   [&](const EyePath&, const Hit&, const Receiver&) { unused.clear(); });
 }
 
@@ -151,7 +151,9 @@ bool meets_delta(const Bsdf& bsdf, Sampler& sampler, vec3& carried) {
 
 bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray) {
     const bool choice = s.bsdf.delta != Bsdf::Delta::mirror;
-    const auto passed = sample_delta(s.bsdf, s.n, s.wo, choice ? sampler.next().x : 0);
+    const float u = choice ? sampler.next().x : 0;
+    const vec2 u_facet = s.bsdf.delta_alpha > 0 ? sampler.next() : vec2(0);
+    const auto passed = sample_delta(s.bsdf, s.n, s.wo, u, u_facet);
     // A shading normal may send light through the surface that shall reflect it.
     if (!passed || (dot(passed->wi, s.ng) > 0) != (dot(passed->wi, s.n) > 0)) return false;
     carried *= passed->weight;
@@ -183,7 +185,7 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
     receivers.clear();
     receivers.reserve(order.size());
     const std::uint64_t traced =
-        follow(world, std::move(paths), std::move(rays), pixels, receivers,
+        follow(world, camera.pixel_width(), std::move(paths), std::move(rays), pixels, receivers,
                [&](const EyePath& path, const Hit& hit, const Receiver& receiver) {
                    const SurfacePoint& s = receiver.surface;
                    PixelSample& pixel = pixels[path.pixel];

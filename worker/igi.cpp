@@ -82,6 +82,25 @@ vec3 response(const World& world, const IgiConfig& config, const LitVertex& v,
     return sum + v.narrow * eval(s.bsdf, s.n, s.wo, light.wi, Lobes::narrow) * weight;
 }
 
+/// What photons bring: the light of lamps through ideal surfaces, as the lobes reflect it; `broad`
+/// and `narrow` as in LitVertex. Not filtered: it changes from pixel to pixel, and is smooth
+/// already.
+vec3 caustic_light(const PhotonMap& photons, const SurfacePoint& s, const vec3& broad,
+                   const vec3& narrow) {
+    vec3 sum(0);
+    photons.find(s, [&](const Photon& photon, float density) {
+        if (!(dot(s.n, photon.wi) > 0)) return;
+        vec3 share = broad;
+        if (s.bsdf.glossy) {
+            share *= shape(s.bsdf, s.n, s.wo, photon.wi);
+            if (s.bsdf.has_narrow())
+                share += narrow * eval(s.bsdf, s.n, s.wo, photon.wi, Lobes::narrow);
+        }
+        sum += share * photon.flux * (density * photon_correction(s, photon.wi));
+    });
+    return sum;
+}
+
 /// Candidate `i`: a shift of the pixel's own point, so that the candidates spread over the lights.
 DirectSample direct_candidate(const World& world, const IgiConfig& config, const LitVertex& v,
                               std::uint32_t i, float u_light, const vec2& u) {
@@ -310,6 +329,8 @@ void add_emission(const World& world, const IgiConfig& config, const RestPath& p
     if (s.emission == vec3(0)) return;
     float weight = 1;
     if (path.via == Via::broad && !(hit.t < path.reach)) return;
+    if (path.via == Via::ideal && config.photons && config.caustics->by_photons(hit.instance))
+        return;
     if (path.via != Via::ideal)
         weight = 1 - direct_weight(world, world.lights.pdf(path.vertex.at.p, hit, s), path.pdf);
     const vec3 e = path.throughput * s.emission * weight;
@@ -438,6 +459,9 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
             add_emission(world, config, path, hits[i], s, sum, pixels[path.pixel]);
             if (!advance(path, config, rays[i], hits[i].t, s)) continue;
             if (!s.bsdf.is_delta()) {
+                if (config.photons)
+                    pixels[path.pixel].*sum +=
+                        caustic_light(*config.photons, s, path.vertex.broad, path.vertex.narrow);
                 direct.add(path.vertex, path.pixel, path.sampler);
                 sample_vpl(sets, config, s, path.pixel, path.vertex.broad, path.bounces,
                            path.sampler, batch);
@@ -464,6 +488,11 @@ std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiC
         direct.add({.at = r.surface}, r.pixel, sampler);
     }
     direct.finish();
+    if (config.photons)
+        for (const Receiver& r : receivers)
+            pixels[r.pixel].emitted +=
+                caustic_light(*config.photons, r.surface,
+                              r.throughput * r.surface.bsdf.reflectance() / pi, r.throughput);
     return batch.trace(world.tracer, pixels, &PixelSample::direct);
 }
 

@@ -11,11 +11,12 @@
 // 2005), combined with lamps that the short rays find.
 //
 // VPLs light broad lobes only. Narrow ones, mirrors and glass are followed by rays from wherever
-// they are met: seen by the eye, or by a scattered ray, which then is not cut short. So a refined
-// picture converges to the path tracer's, caustics included, though these are as noisy as there.
+// they are met: seen by the eye, or by a scattered ray, which then is not cut short. Light of small
+// lamps and of lights without size that passes mirrors and glass comes by photons (caustics.h). So
+// a refined picture converges to the path tracer's, caustics included.
 #pragma once
 
-#include "worker/eye.h"
+#include "worker/caustics.h"
 #include "worker/vpl.h"
 
 namespace tessera {
@@ -30,10 +31,13 @@ struct IgiConfig {
     float filter_angle = 0;
     /// Whether any surface has lobes that are not broad.
     bool has_rest = false;
+    /// Null: all caustics are found by rays.
+    const PhotonMap* photons = nullptr;
+    const Caustics* caustics = nullptr;  ///< which `photons` are of
 };
 
 /// Adds direct irradiance to `pixels`, but for the share of near lamps that gather_compensation()
-/// brings. Returns the number of rays traced.
+/// brings, and what photons bring. Returns the number of rays traced.
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels);
 

@@ -22,6 +22,7 @@ struct Options {
     unsigned threads = std::max(std::thread::hardware_concurrency(), 1u);
     std::string keys;
     std::string name;
+    std::string plugins;
     unsigned attempts = 0;
     std::string log = "info";
     pid_t parent = 0;
@@ -49,6 +50,10 @@ void declare(CLI::App& app, Options& options) {
     app.add_option("--attempts", options.attempts,
                    "Attempts to connect in a row before giving up (0: never gives up)")
         ->capture_default_str();
+    app.add_option("--plugins", options.plugins,
+                   "Folder of shader plug-ins: shared objects that define what "
+                   "worker/tessera_shader.h says")
+        ->type_name("FOLDER");
     app.add_option("--log", options.log, "Least level that is logged")
         ->check(CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
         ->capture_default_str();
@@ -60,11 +65,19 @@ void declare(CLI::App& app, Options& options) {
         "for one.");
 }
 
+std::shared_ptr<const ShaderTable> shaders_of(const std::string& folder) {
+    if (folder.empty()) return built_in_shaders();
+    const auto table = std::make_shared<ShaderTable>();
+    for (const std::string& complaint : table->load(folder)) spdlog::warn("{}", complaint);
+    return table;
+}
+
 WorkerConfig config_of(const Options& options) {
     WorkerConfig config{.server = parse_address(options.server),
                         .threads = options.threads,
                         .name = options.name.empty() ? default_name() : options.name,
                         .credentials = load_credentials(options.keys),
+                        .shaders = shaders_of(options.plugins),
                         .attempts = std::nullopt};
     if (options.attempts > 0) config.attempts = options.attempts;
     return config;

@@ -53,6 +53,18 @@ void sample_light(const World& world, Path& path, Batch& batch) {
     batch.pending.push_back({path.pixel, path.bounces == 0, irradiance});
 }
 
+/// Adds what photons bring to the vertex.
+void add_photons(const PhotonMap& photons, const Path& path, std::span<PixelSample> pixels) {
+    const SurfacePoint& s = path.at;
+    vec3 sum(0);
+    photons.find(s, [&](const Photon& photon, float density) {
+        if (dot(s.n, photon.wi) > 0)
+            sum += scattering(path, photon.wi) * photon.flux *
+                   (density * photon_correction(s, photon.wi));
+    });
+    deposit(pixels[path.pixel], path.bounces == 0, path.throughput * sum / pi);
+}
+
 void trace_shadow_rays(const World& world, Batch& batch, std::span<PixelSample> pixels) {
     batch.blocked.resize(batch.shadow_rays.size());
     world.tracer.occluded(batch.shadow_rays, batch.blocked);
@@ -125,7 +137,8 @@ void add_sky(const World& world, const Path& path, const vec3& dir, std::span<Pi
 }  // namespace
 
 std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_t bounces,
-                          std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
+                          const PhotonMap* photons, std::span<const Receiver> receivers,
+                          std::span<PixelSample> pixels) {
     std::vector<Path> paths;
     paths.reserve(receivers.size());
     for (const Receiver& r : receivers)
@@ -136,9 +149,11 @@ std::uint64_t trace_paths(const World& world, const TilePass& tile, std::uint32_
     std::uint64_t traced = 0;
     while (!paths.empty()) {
         // Light every diffuse vertex.
-        for (Path& path : paths)
-            if (!path.at.bsdf.is_delta() && path.bounces <= bounces)
-                sample_light(world, path, batch);
+        for (Path& path : paths) {
+            if (path.at.bsdf.is_delta() || path.bounces > bounces) continue;
+            sample_light(world, path, batch);
+            if (photons) add_photons(*photons, path, pixels);
+        }
         traced += batch.shadow_rays.size();
         trace_shadow_rays(world, batch, pixels);
 

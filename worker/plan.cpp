@@ -45,14 +45,23 @@ void note_glass(ScenePlan& plan, const Scene& scene) {
     note(plan, glass, "glass", " materials");
     const auto frosted = count_materials(
         scene, [](const Material& m) { return m.transmission > 0 && m.roughness > 0; });
-    if (frosted > 0)
-        plan.left_out.push_back(
-            fmt::format("rough glass: {} materials modelled as smooth", frosted));
+    note(plan, frosted, "rough glass", " materials (GGX); light between their microfacets is lost");
     if (glass > 0)
         plan.left_out.push_back(
-            "shadow rays through glass: it blocks them; light that passes is found by scattered "
-            "rays "
-            "that hit lamps, so point lights and other lights without size do not shine through");
+            "shadow rays through glass: it blocks them; light that passes comes by photons, and by "
+            "scattered rays that hit lamps");
+}
+
+void note_photons(ScenePlan& plan, const Caustics& caustics) {
+    if (caustics.wanted(Integrator::igi))
+        plan.modelled.push_back(fmt::format(
+            "photons: aimed at mirrors and glass in {} places, from {} lights without size, and in "
+            "igi from {} triangles of small lamps",
+            caustics.target_count(), caustics.punctual_count(), caustics.lamp_count()));
+    else
+        plan.left_out.push_back(caustics.target_count() == 0
+                                    ? "photons: the scene has neither mirrors nor glass"
+                                    : "photons: all lamps are large beside the mirrors and glass");
 }
 
 void note_alpha(ScenePlan& plan, const Scene& scene) {
@@ -77,7 +86,8 @@ void note_clamped(ScenePlan& plan, const Scene& scene) {
 
 }  // namespace
 
-ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& lights) {
+ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& lights,
+                    const Caustics& caustics) {
     ScenePlan plan;
     note(plan, scene.instances.size(), "instances",
          fmt::format(" of {} objects", scene.objects.size()));
@@ -96,6 +106,10 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
          scene.environment.texture < 0 ? " colour" : " map");
     note(plan, count_materials(scene, [](const Material& m) { return m.normal_map.texture >= 0; }),
          "normal maps", " materials");
+    note(plan, count_materials(scene, [](const Material& m) { return !m.shader.empty(); }),
+         "material shaders", " materials, computed where the eye's rays and others hit");
+    for (const std::string& complaint : surfaces.shader_complaints())
+        plan.left_out.push_back(complaint);
     note_alpha(plan, scene);
     note(plan,
          count_materials(scene,
@@ -108,6 +122,7 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
         plan.modelled.push_back(
             "caustics: by scattered rays that find mirrors, glass and narrow gloss, in igi as in "
             "path");
+    note_photons(plan, caustics);
     note_clamped(plan, scene);
     if (lights.empty()) plan.left_out.push_back("light: nothing emits, the picture will be black");
     return plan;

@@ -30,8 +30,9 @@ constexpr float bound_share = 0.25f;
 /// many and half the candidates, or the reverse, come out worse at the same cost.
 constexpr int pilot_count = 64;
 
-/// A frame's VPLs are kept for this many passes; older ones are made again if a late task asks.
-constexpr std::size_t kept_passes = 8;
+/// A frame's VPLs and photons are kept for this many passes, more than one task has; older ones are
+/// made again if a late task asks.
+constexpr std::size_t kept_passes = 24;
 
 VplConfig vpl_config(const RenderSettings& settings, const Box& bounds) {
     const float radius = bound_share * length(bounds.extent());
@@ -59,14 +60,17 @@ std::vector<Receiver> find_pilots(const World& world, const FrameSpec& spec) {
 class FrameState {
 public:
     FrameState(const FrameSpec& spec, const Surfaces& surfaces, const Lights& lights,
-               std::shared_ptr<const Tracer> tracer, bool has_rest)
+               const Caustics& caustics, std::shared_ptr<const Tracer> tracer, bool has_rest)
         : spec_(spec),
           tracer_(std::move(tracer)),
           world_{surfaces, lights, *tracer_,
                  spec.settings.integrator == Integrator::path ? Lobes::all : Lobes::broad},
           camera_(spec.camera, spec.size),
           vpl_config_(vpl_config(spec.settings, surfaces.bounds())),
-          has_rest_(has_rest) {
+          has_rest_(has_rest),
+          caustics_(caustics),
+          photon_config_(plan_photons(world_, caustics, spec.settings.integrator, spec.size,
+                                      hash(spec.settings.seed, 4))) {
         if (spec.settings.integrator != Integrator::igi) return;
         vpl_config_.paths = count_light_paths(world_, vpl_config_);
         pilots_ = find_pilots(world_, spec);
@@ -79,41 +83,54 @@ public:
         std::vector<Receiver> receivers;
         std::uint64_t rays = trace_eye_rays(world_, camera_, tile, pixels, receivers);
         const RenderSettings& settings = spec_.settings;
-        if (settings.integrator == Integrator::path)
-            return rays + trace_paths(world_, tile, settings.bounces, receivers, pixels);
+        const bool has_photons = photon_config_.count > 0;
+        if (settings.integrator == Integrator::path) {
+            const auto pass = has_photons ? light_of(tile.pass, rays) : nullptr;
+            return rays + trace_paths(world_, tile, settings.bounces,
+                                      pass ? &pass->photons : nullptr, receivers, pixels);
+        }
+        const auto pass = light_of(tile.pass, rays);
         const IgiConfig config{
             .interleave = vpl_config_.interleave,
             .max_geometry = vpl_config_.max_geometry,
             .bounces = settings.bounces,
             .filter_angle = float(vpl_config_.interleave) * camera_.pixel_width(),
-            .has_rest = has_rest_};
+            .has_rest = has_rest_,
+            .photons = has_photons ? &pass->photons : nullptr,
+            .caustics = &caustics_};
         rays += gather_direct(world_, tile, config, receivers, pixels);
-        const auto sets = vpls_of(tile.pass, rays);
-        rays += gather_indirect(world_, tile, config, *sets, receivers, pixels);
-        return rays + gather_rest(world_, tile, config, *sets, receivers, pixels);
+        rays += gather_indirect(world_, tile, config, pass->sets, receivers, pixels);
+        return rays + gather_rest(world_, tile, config, pass->sets, receivers, pixels);
     }
 
 private:
-    struct PassVpls {
+    /// What walks from the lights leave behind.
+    struct PassLight {
         std::once_flag made;
         VplSets sets;
+        PhotonMap photons;
     };
 
-    /// The first who asks for a pass makes its VPLs and counts their rays; others wait for them.
-    std::shared_ptr<const VplSets> vpls_of(std::uint32_t pass, std::uint64_t& rays) {
-        const std::shared_ptr<PassVpls> entry = entry_of(pass);
+    /// The first who asks for a pass makes its VPLs and photons and counts their rays; others wait
+    /// for them.
+    std::shared_ptr<const PassLight> light_of(std::uint32_t pass, std::uint64_t& rays) {
+        const std::shared_ptr<PassLight> entry = entry_of(pass);
         std::call_once(entry->made, [&] {
-            entry->sets = make_vpl_sets(world_, vpl_config_, pass, pilots_);
-            rays += entry->sets.rays;
+            if (spec_.settings.integrator == Integrator::igi) {
+                entry->sets = make_vpl_sets(world_, vpl_config_, pass, pilots_);
+                rays += entry->sets.rays;
+            }
+            if (photon_config_.count > 0)
+                entry->photons = make_photon_map(world_, caustics_, photon_config_, pass, rays);
         });
-        return {entry, &entry->sets};
+        return entry;
     }
 
-    std::shared_ptr<PassVpls> entry_of(std::uint32_t pass) {
+    std::shared_ptr<PassLight> entry_of(std::uint32_t pass) {
         const std::lock_guard lock(mutex_);
-        std::shared_ptr<PassVpls>& slot = passes_[pass];
-        if (!slot) slot = std::make_shared<PassVpls>();
-        const std::shared_ptr<PassVpls> entry = slot;
+        std::shared_ptr<PassLight>& slot = passes_[pass];
+        if (!slot) slot = std::make_shared<PassLight>();
+        const std::shared_ptr<PassLight> entry = slot;
         if (passes_.size() > kept_passes) passes_.erase(passes_.begin());
         return entry;
     }
@@ -124,9 +141,11 @@ private:
     Pinhole camera_;
     VplConfig vpl_config_;
     bool has_rest_;
+    const Caustics& caustics_;
+    PhotonConfig photon_config_;
     std::vector<Receiver> pilots_;
     std::mutex mutex_;
-    std::map<std::uint32_t, std::shared_ptr<PassVpls>> passes_;
+    std::map<std::uint32_t, std::shared_ptr<PassLight>> passes_;
 };
 
 /// The value of a channel with three floats.
@@ -213,11 +232,12 @@ struct Renderer::State {
     State(const Scene& scene, const BlobStore& blobs, const RendererConfig& renderer_config,
           State* before)
         : config(renderer_config),
-          surfaces(scene, blobs, before ? &before->surfaces : nullptr),
+          surfaces(scene, blobs, before ? &before->surfaces : nullptr, renderer_config.shaders),
           lights(surfaces, surfaces.bounds()),
-          has_rest(std::any_of(scene.materials.begin(), scene.materials.end(),
-                               [&](const Material& m) { return surfaces.has_rest(m); })),
-          plan(make_plan(scene, surfaces, lights)) {
+          caustics(surfaces),
+          has_rest(std::ranges::any_of(surfaces.scene().materials,
+                                       [&](const Material& m) { return surfaces.has_rest(m); })),
+          plan(make_plan(surfaces.scene(), surfaces, lights, caustics)) {
         if (!before) return;
         const std::lock_guard lock(before->build_mutex);
         for (std::size_t i = 0; i < tracers.size(); ++i)
@@ -248,6 +268,7 @@ struct Renderer::State {
     RendererConfig config;
     Surfaces surfaces;
     Lights lights;
+    Caustics caustics;
     bool has_rest;
     ScenePlan plan;
     std::mutex build_mutex;
@@ -273,7 +294,7 @@ void Renderer::prepare(TracerKind tracer) { state_->tracer(tracer); }
 void Renderer::begin_frame(const FrameSpec& spec) {
     if (state_->find(spec.frame)) return;
     const auto frame =
-        std::make_shared<FrameState>(spec, state_->surfaces, state_->lights,
+        std::make_shared<FrameState>(spec, state_->surfaces, state_->lights, state_->caustics,
                                      state_->tracer(spec.settings.tracer), state_->has_rest);
     const std::lock_guard lock(state_->frames_mutex);
     state_->frames.emplace(spec.frame, frame);

@@ -8,6 +8,7 @@
 
 #include "common/scene.h"
 #include "common/tile.h"
+#include "worker/shaders.h"
 
 namespace tessera {
 
@@ -20,6 +21,7 @@ struct ScenePlan {
 
 struct RendererConfig {
     int threads = 1;  ///< for building; render() is called from as many threads as the caller likes
+    std::shared_ptr<const ShaderTable> shaders = built_in_shaders();
 };
 
 class Renderer {

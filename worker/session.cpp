@@ -39,12 +39,12 @@ std::string error_of(Work work) {
 WorkerPools::WorkerPools(unsigned render_threads)
     : render(render_threads, max_tasks), scenes(1, max_frames), frames(1, 2 * max_frames) {}
 
-Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads,
-                 const BlobStore& known)
+Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
+                 const RendererConfig& config, const BlobStore& known)
     : connection_(std::move(connection)),
       executor_(connection_->executor()),
       pools_(pools),
-      build_threads_(build_threads) {
+      renderer_config_(config) {
     receiver_.know(known);
 }
 
@@ -113,13 +113,12 @@ void Session::build_next_scene() {
     };
     run_in(
         pools_.scenes,
-        [scene = *scene, tracer = tracers_[scene->name], threads = int(build_threads_),
+        [scene = *scene, tracer = tracers_[scene->name], config = renderer_config_,
          before = newest_renderer(scene->name)] {
             Built built;
             built.error = error_of([&] {
-                built.renderer =
-                    std::make_shared<Renderer>(scene.scene->scene, scene.blobs,
-                                               RendererConfig{.threads = threads}, before.get());
+                built.renderer = std::make_shared<Renderer>(scene.scene->scene, scene.blobs, config,
+                                                            before.get());
                 built.renderer->prepare(tracer);
             });
             return built;

@@ -35,9 +35,9 @@ struct WorkerPools {
 
 class Session : public std::enable_shared_from_this<Session> {
 public:
-    /// `build_threads`: for building a scene. `known`: blobs that are here already.
-    Session(std::shared_ptr<Connection> connection, WorkerPools& pools, unsigned build_threads,
-            const BlobStore& known = {});
+    /// `config`: of the renderers. `known`: blobs that are here already.
+    Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
+            const RendererConfig& config, const BlobStore& known = {});
     ~Session();
 
     /// Serves until the connection ends; throws what Connection::receive throws.
@@ -99,7 +99,7 @@ private:
     std::shared_ptr<Connection> connection_;
     asio::any_io_executor executor_;
     WorkerPools& pools_;
-    unsigned build_threads_;
+    RendererConfig renderer_config_;
     SceneReceiver receiver_;
     std::map<std::string, TracerKind> tracers_;  ///< by scene: what to build with it
     bool building_ = false;

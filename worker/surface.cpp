@@ -74,13 +74,17 @@ void check_slots(const Object& object, const Mesh& mesh) {
 
 }  // namespace
 
-Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before)
-    : scene_(scene) {
+Surfaces::Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before,
+                   std::shared_ptr<const ShaderTable> shaders)
+    : scene_(scene), shader_table_(std::move(shaders)) {
     validate(scene);
     decode_meshes(blobs, before);
     decode_textures(blobs, before);
     place_objects(blobs, before);
     sky_ = make_sky(before);
+    if (std::ranges::any_of(scene.materials, [](const Material& m) { return !m.shader.empty(); }))
+        for (const Material& m : scene.materials)
+            shaders_.push_back(bind_shader(*shader_table_, m, shader_complaints_));
     for (const Instance& instance : scene.instances) {
         normal_from_object_.push_back(transpose(inverse(mat3(instance.world_from_object))));
         bounds_.add(transformed(geometry_[instance.object]->bounds, instance.world_from_object));
@@ -96,6 +100,7 @@ void Surfaces::decode_meshes(const BlobStore& blobs, const Surfaces* before) {
     for (const BlobId& id : scene_.meshes) {
         const bool known = before && before->meshes_.contains(id);
         meshes_[id] = known ? before->meshes_.at(id) : decode(id);
+        rest_.push_back(&meshes_[id]->mesh);
     }
 }
 
@@ -270,8 +275,14 @@ SurfaceLook Surfaces::look(const Material& m, const vec2& uv) const {
 bool Surfaces::has_rest(const Material& m) const {
     const bool glossy = m.metallic > 0 || m.specular > 0;
     const bool mapped = m.metallic_roughness_map.texture >= 0;
-    return m.transmission > 0 ||
+    return m.transmission > 0 || shader_of(m).may(TESSERA_SHADER_RESHAPES) ||
            (glossy && (mapped || m.roughness * m.roughness < Bsdf::narrow_alpha));
+}
+
+bool Surfaces::may_be_ideal(const Material& m) const {
+    const float least_roughness = m.metallic_roughness_map.texture >= 0 ? 0 : m.roughness;
+    return m.transmission > 0 || is_mirror(m.metallic, least_roughness) ||
+           shader_of(m).may(TESSERA_SHADER_RESHAPES);
 }
 
 /// `n`, on the front of `t`, as the normal map tilts it.
@@ -297,13 +308,73 @@ vec3 Surfaces::bumped(const Material& m, const WorldTriangle& t, const Mesh& mes
 SurfacePoint Surfaces::at(const Ray& ray, const Hit& hit) const {
     const WorldTriangle t = triangle(hit.instance, hit.triangle);
     SurfacePoint s;
-    find(ray, hit, t, t.off_front(), s);
+    find(ray, hit, t, t.off_front(), 0, s);
     return s;
 }
 
-void Surfaces::find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s) const {
+void Surfaces::find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s,
+                    float pixel) const {
     const TriangleCache::Entry& entry = cached(hit, cache);
-    find(ray, hit, entry.shape, entry.off_front, s);
+    find(ray, hit, entry.shape, entry.off_front, pixel, s);
+}
+
+const BoundShader& Surfaces::shader_of(const Material& m) const {
+    static const BoundShader none;
+    return m.shader.empty() ? none : shaders_[std::size_t(&m - scene_.materials.data())];
+}
+
+/// What the material's shader makes of the point; tilts the normal of `s`.
+Bsdf Surfaces::shaded(const Material& m, const Hit& hit, const WorldTriangle& t, const vec2& uv,
+                      float pixel, bool front, SurfacePoint& s) const {
+    // The texture sticks to the object when it deforms: it is that of the mesh at rest.
+    const Object& object = scene_.objects[object_of(hit.instance)];
+    const Mesh& rest = *rest_[object.mesh];
+    const uvec3 corners = rest.triangles[hit.triangle];
+    const vec3 p0 = rest.positions[corners.x];
+    const vec3 e1 = rest.positions[corners.y] - p0, e2 = rest.positions[corners.z] - p0;
+    const vec3 p = p0 + hit.u * e1 + hit.v * e2;
+    const vec3 n = unit_or(cross(e1, e2), vec3(0, 1, 0));
+    const vec3 w1 = t.p1 - t.p0, w2 = t.p2 - t.p0;
+    const float rest_size = dot(e1, e1) + dot(e2, e2), size = dot(w1, w1) + dot(w2, w2);
+    const float world_from_rest = rest_size > 0 ? std::sqrt(size / rest_size) : 1;
+
+    // A round filter as large as the ellipse that the pixel sees.
+    const float slant = std::sqrt(std::max(dot(s.ng, s.wo), 1.0f / 64));
+    SurfaceLook plain = look(m, uv);
+    tessera_shading point{
+        .position = {p.x, p.y, p.z},
+        .normal = {n.x, n.y, n.z},
+        .uv = {uv.x, uv.y},
+        .footprint = world_from_rest > 0 ? pixel / (slant * world_from_rest) : 0,
+        .base_color = {plain.base_color.x, plain.base_color.y, plain.base_color.z},
+        .roughness = plain.roughness,
+        .metallic = plain.metallic,
+        .specular = plain.specular,
+        .transmission = plain.transmission,
+        .slope = {}};
+    const BoundShader& shader = shader_of(m);
+    shader.shade(point);
+
+    const vec3 slope(point.slope[0], point.slope[1], point.slope[2]);
+    if (slope != vec3(0)) {
+        const vec3 g = world_from_rest * (normal_from_object_[hit.instance] * slope);
+        const vec3 outward = front ? s.n : -s.n;
+        const vec3 tilted = unit_or(outward - (g - outward * dot(outward, g)), outward);
+        const vec3 facing = front ? tilted : -tilted;
+        if (dot(facing, s.wo) > 0) s.n = facing;
+    }
+    plain.base_color = {point.base_color[0], point.base_color[1], point.base_color[2]};
+    if (shader.may(TESSERA_SHADER_ROUGHENS))
+        plain.roughness = std::max(plain.roughness, point.roughness);
+    if (shader.may(TESSERA_SHADER_RESHAPES)) {
+        plain.roughness = point.roughness;
+        plain.metallic = point.metallic;
+        plain.specular = point.specular;
+        plain.transmission = point.transmission;
+    } else if (is_lambert(m)) {
+        return lambert_bsdf(plain.base_color);
+    }
+    return make_bsdf(plain, dot(s.n, s.wo), front);
 }
 
 const TriangleCache::Entry& Surfaces::cached(const Hit& hit, TriangleCache& cache) const {
@@ -318,7 +389,7 @@ const TriangleCache::Entry& Surfaces::cached(const Hit& hit, TriangleCache& cach
 
 /// `t` is what the ray hit; `s` is as made.
 void Surfaces::find(const Ray& ray, const Hit& hit, const WorldTriangle& t, const vec3& off_front,
-                    SurfacePoint& s) const {
+                    float pixel, SurfacePoint& s) const {
     const Mesh& mesh = mesh_of(hit.instance);
     const uvec3 corners = mesh.triangles[hit.triangle];
     const Material& m = material(hit.instance, hit.triangle);
@@ -346,8 +417,11 @@ void Surfaces::find(const Ray& ray, const Hit& hit, const WorldTriangle& t, cons
         const vec3 n = bumped(m, t, mesh, corners, uv, front ? s.n : -s.n);
         if (dot(front ? n : -n, s.wo) > 0) s.n = front ? n : -n;
     }
-    s.bsdf = is_lambert(m) ? lambert_bsdf(m.base_color * vec3(color(m.base_color_map, uv)))
-                           : make_bsdf(look(m, uv), dot(s.n, s.wo), front);
+    if (shader_of(m).shader) [[unlikely]]
+        s.bsdf = shaded(m, hit, t, uv, pixel, front, s);
+    else
+        s.bsdf = is_lambert(m) ? lambert_bsdf(m.base_color * vec3(color(m.base_color_map, uv)))
+                               : make_bsdf(look(m, uv), dot(s.n, s.wo), front);
     if (front || m.two_sided_emission) s.emission = m.emission * vec3(color(m.emission_map, uv));
 }
 

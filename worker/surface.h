@@ -8,6 +8,7 @@
 
 #include "common/scene.h"
 #include "worker/bsdf.h"
+#include "worker/shaders.h"
 #include "worker/sky.h"
 #include "worker/tracer.h"
 
@@ -58,7 +59,8 @@ class Surfaces {
 public:
     /// Shares with `before`, of an earlier version of the scene or null, what they have in common.
     /// Throws std::runtime_error naming a blob that is missing or broken, or an index out of range.
-    Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before = nullptr);
+    Surfaces(const Scene& scene, const BlobStore& blobs, const Surfaces* before = nullptr,
+             std::shared_ptr<const ShaderTable> shaders = built_in_shaders());
 
     /// What build_tracer() wants; the spans borrow from this.
     std::vector<TracerObject> tracer_objects() const;
@@ -69,8 +71,10 @@ public:
 
     /// The point that a valid `hit` of `ray` found.
     SurfacePoint at(const Ray& ray, const Hit& hit) const;
-    /// The same for many rays, in `s`.
-    void find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s) const;
+    /// The same for many rays, in `s`. `pixel`: width of what the pixel sees at the hit, across
+    /// the ray, within which shaders average; 0: a point.
+    void find(const Ray& ray, const Hit& hit, TriangleCache& cache, SurfacePoint& s,
+              float pixel = 0) const;
 
     std::uint32_t instance_count() const { return std::uint32_t(scene_.instances.size()); }
     std::uint32_t object_of(std::uint32_t instance) const {
@@ -92,7 +96,11 @@ public:
     float coverage(std::uint32_t instance, std::uint32_t triangle, const vec2& b) const;
     /// Values of textures that were not finite, or negative, and count as zero.
     std::uint64_t sanitised_texels() const;
-    /// Whether the material can have lobes that are not broad.
+    /// A sentence for each shader and parameter that materials ask for and this worker lacks.
+    const std::vector<std::string>& shader_complaints() const { return shader_complaints_; }
+    /// Whether the material, one of scene()'s, can reflect or refract ideally.
+    bool may_be_ideal(const Material& material) const;
+    /// The same for lobes that are not broad.
     bool has_rest(const Material& material) const;
 
     const Scene& scene() const { return scene_; }
@@ -117,7 +125,10 @@ private:
     const Mesh& mesh_of(std::uint32_t instance) const;
     const TriangleCache::Entry& cached(const Hit& hit, TriangleCache& cache) const;
     void find(const Ray& ray, const Hit& hit, const WorldTriangle& t, const vec3& off_front,
-              SurfacePoint& s) const;
+              float pixel, SurfacePoint& s) const;
+    const BoundShader& shader_of(const Material& material) const;
+    Bsdf shaded(const Material& material, const Hit& hit, const WorldTriangle& t, const vec2& uv,
+                float pixel, bool front, SurfacePoint& s) const;
     vec2 texcoord(const Mesh& mesh, const uvec3& corners, const vec2& b) const;
     vec4 color(const TextureMap& map, const vec2& uv) const;
     float coverage(const Material& material, const vec2& uv) const;
@@ -129,6 +140,10 @@ private:
     Decoded<Geometry> meshes_;
     std::vector<std::shared_ptr<const Picture>> textures_;   ///< by index
     std::vector<std::shared_ptr<const Geometry>> geometry_;  ///< by object, in shape
+    std::vector<const Mesh*> rest_;  ///< by mesh, as it lies when no shape bends it
+    std::shared_ptr<const ShaderTable> shader_table_;
+    std::vector<BoundShader> shaders_;  ///< by material; empty when none asks for one
+    std::vector<std::string> shader_complaints_;
     std::shared_ptr<const Sky> sky_;
     std::vector<mat3> normal_from_object_;  ///< per instance: inverse transpose
     Box bounds_;

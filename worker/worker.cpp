@@ -46,8 +46,9 @@ asio::awaitable<void> Worker::serve() {
     const auto connection = co_await connect(config_.server, config_.credentials.tls);
     co_await shake_hands(*connection, config_);
     failures_ = 0;
-    const auto session =
-        std::make_shared<Session>(connection, pools_, config_.threads, std::exchange(blobs_, {}));
+    const auto session = std::make_shared<Session>(
+        connection, pools_, RendererConfig{int(config_.threads), config_.shaders},
+        std::exchange(blobs_, {}));
     session_ = session;
     if (leaving_) session->leave();
     try {

@@ -15,6 +15,7 @@ struct WorkerConfig {
     unsigned threads = 1;     ///< render threads
     std::string name;         ///< for the server's logs and status
     Credentials credentials;  ///< the server's operator gives them out
+    std::shared_ptr<const ShaderTable> shaders = built_in_shaders();
     /// Attempts in a row that may fail before the worker gives up; none: it never does.
     std::optional<unsigned> attempts;
 };

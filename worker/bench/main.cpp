@@ -9,6 +9,7 @@
 
 #include "common/check.h"
 #include "worker/bench/build_bench.h"
+#include "worker/bench/shading_bench.h"
 #include "worker/bench/stability_bench.h"
 #include "worker/bench/trace_bench.h"
 
@@ -80,6 +81,17 @@ void add_build(CLI::App& app, Options& options) {
     });
 }
 
+void add_shading(CLI::App& app, Options& options) {
+    CLI::App* command = add_benchmark(app, options, "shading",
+                                      "What wood, marble and brick cost by virtual point lights");
+    add_scenes(command, options);
+    command->callback([&options] {
+        ShadingBenchConfig config;
+        if (options.quick) config = {.width = 64, .repetitions = 3, .vpls = {1, 32}};
+        write_json(options.json, bench_shading(options.scenes, config));
+    });
+}
+
 void add_stability(CLI::App& app, Options& options) {
     CLI::App* command = add_benchmark(app, options, "stability",
                                       "Wrong answers on hard cases, ours beside Embree's");
@@ -107,6 +119,7 @@ int main(int argc, char** argv) {
     Options options;
     add_trace(app, options);
     add_build(app, options);
+    add_shading(app, options);
     add_stability(app, options);
     try {
         app.parse(argc, argv);
