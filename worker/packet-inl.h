@@ -8,6 +8,8 @@
 #define TESSERA_PACKET_INL_H
 #endif
 
+#include <utility>
+
 #include "worker/facet-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -144,6 +146,13 @@ protected:
         return {org_, 0, rays_.direction(g, i, from_world_), tmax};
     }
 
+    /// Of the groups those that did not meet the block lately; now they have. Leaves share blocks.
+    Bits newcomers(std::uint32_t block, Bits groups) {
+        Visit& visit = visits_[block % std::size(visits_)];
+        if (visit.block != block) visit = {block, 0};
+        return groups & ~std::exchange(visit.groups, visit.groups | groups);
+    }
+
     const GroupRays& group_rays(int g) {
         GroupRays& out = group_rays_[g];
         if (known_rays_ >> g & 1) return out;
@@ -236,6 +245,11 @@ protected:
     Shaft shaft_;
 
 private:
+    struct Visit {
+        std::uint32_t block = ~0u;
+        Bits groups = 0;
+    };
+    Visit visits_[16];
     Bits known_rays_ = 0;
     GroupRays group_rays_[W];
 };

@@ -251,6 +251,8 @@ private:
     }
 
     HWY_NOINLINE void test_block(std::uint32_t index, Bits groups) {
+        groups = newcomers(index, groups);
+        if (!groups) return;
         const Block& block = object_.blocks[index];
         Facets facets;
         Slopes slopes = shaft_.chunk();

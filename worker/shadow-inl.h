@@ -138,6 +138,8 @@ private:
 
     /// A block of triangles against groups.
     HWY_NOINLINE void test_block(std::uint32_t index, Bits groups) {
+        groups = newcomers(index, groups);
+        if (!groups) return;
         const Block& block = object_.blocks[index];
         Facets facets;
         bool useful = false;
@@ -157,6 +159,7 @@ private:
 
     /// The same against one group.
     HWY_NOINLINE void test_block(std::uint32_t index, int g, const GroupBounds& bounds) {
+        if (!newcomers(index, Bits(1) << g)) return;
         const Block& block = object_.blocks[index];
         Facets facets;
         bool useful = false;

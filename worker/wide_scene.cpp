@@ -63,6 +63,42 @@ BoxRef finite(const Box& box, std::uint32_t item) {
     return {clamp(box.lo, -most, most), item, clamp(box.hi, -most, most), 0};
 }
 
+/// Which triangles stand in the lanes of which block. Small leaves share blocks: to test a few
+/// triangles more costs nothing, and what is full takes less memory.
+template <int width>
+class LeafLanes {
+public:
+    WideLink add(std::span<const std::uint32_t> items) {
+        const std::size_t count = (items.size() + width - 1) / width;
+        std::size_t block = blocks(), fullest = 0;
+        for (std::size_t i = block - std::min(block, nearby); i < blocks(); ++i) {
+            if (counts_[i] + items.size() > width || counts_[i] < fullest) continue;
+            block = i;
+            fullest = counts_[i];
+        }
+        if (block == blocks()) {
+            counts_.resize(block + count, 0);
+            lanes_.resize(counts_.size() * width);
+        }
+        for (std::size_t i = 0; i < items.size(); ++i) {
+            const std::size_t at = block + i / width;
+            lanes_[at * width + counts_[at]++] = items[i];
+        }
+        return WideLink::leaf(std::uint32_t(block), std::uint32_t(count));
+    }
+
+    std::size_t blocks() const { return counts_.size(); }
+    std::span<const std::uint32_t> of(std::size_t block) const {
+        return std::span(lanes_).subspan(block * width, counts_[block]);
+    }
+
+private:
+    static constexpr std::size_t nearby = 16;  ///< so far apart may leaves share
+
+    RawVector<std::uint32_t> lanes_;
+    std::vector<std::uint8_t> counts_;
+};
+
 /// Over boxes that are worth a lane each.
 template <int width>
 WideTree<width> top_tree(const RawVector<BoxRef>& refs) {
@@ -123,24 +159,18 @@ WideObject<width> build_object(const TracerObject& object, TreeBuilder builder) 
             ? kd_boxes(object, width)
             : build_bvh(triangle_refs(object), {.block_size = width, .leaf_size = leaf_size});
     WideObject<width> out;
-    constexpr std::uint32_t none = ~0u;
-    std::vector<std::uint32_t> lanes;  // of all blocks
-    out.tree = collapse<width>(tree, {.node = 1, .block = 2, .block_size = width},
-                               [&](std::span<const std::uint32_t> items) {
-                                   const auto first = std::uint32_t(lanes.size() / width);
-                                   lanes.insert(lanes.end(), items.begin(), items.end());
-                                   lanes.resize((lanes.size() + width - 1) / width * width, none);
-                                   return WideLink::leaf(
-                                       first, std::uint32_t(lanes.size() / width) - first);
-                               });
-    CHECK(lanes.size() / width <= WideLink::max_first);
-    out.blocks.resize(lanes.size() / width);
+    LeafLanes<width> lanes;
+    out.tree =
+        collapse<width>(tree, {.node = 1, .block = 2, .block_size = width},
+                        [&](std::span<const std::uint32_t> items) { return lanes.add(items); });
+    CHECK(lanes.blocks() <= WideLink::max_first);
+    out.blocks.resize(lanes.blocks());
     tbb::parallel_for(std::size_t(0), out.blocks.size(), [&](std::size_t block) {
+        const auto items = lanes.of(block);
         std::array<Triangle, width> triangles{};
-        std::size_t count = 0;
-        for (; count < width && lanes[block * width + count] != none; ++count)
-            triangles[count] = triangle_of(object, lanes[block * width + count]);
-        out.blocks[block] = TriangleBlock<width>::of(std::span(triangles).first(count));
+        std::ranges::transform(items, triangles.begin(),
+                               [&](std::uint32_t i) { return triangle_of(object, i); });
+        out.blocks[block] = TriangleBlock<width>::of(std::span(triangles).first(items.size()));
     });
     return out;
 }

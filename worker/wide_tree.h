@@ -59,7 +59,8 @@ struct WideTree {
 template <int width>
 inline constexpr int wide_stack_size = (box_tree_max_depth + 8) * width;
 
-/// Stores a leaf's items, in at most WideLink::max_count units; returns where.
+/// Stores a leaf's items, in at most WideLink::max_count units; returns where. Leaves of a node are
+/// stored one after another, neighbours next to each other.
 using MakeLeaf = std::function<WideLink(std::span<const std::uint32_t> items)>;
 
 /// What visits cost: a ray pays for a wide node, and for each block of items of a leaf.

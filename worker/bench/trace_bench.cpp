@@ -29,17 +29,17 @@ struct SurfacePoint {
 struct RayKind {
     const char* name;
     RayUse use;
-    bool common_origin;
+    EmbreeCall plain;  ///< Embree's call for such rays, as its users know it
     /// Blocks are long enough to warm the caches up, and short enough to take turns.
     int tiles_per_block;
 };
 
 enum KindIndex { primary, vpl_shadow, bounce, bounce_occlusion };
 constexpr RayKind kinds[] = {
-    {"primary", {.occlusion = false, .coherent = true}, true, 64},
-    {"vpl_shadow", {.occlusion = true, .coherent = true}, true, 16},
-    {"bounce", {.occlusion = false, .coherent = false}, false, 64},
-    {"bounce_occlusion", {.occlusion = true, .coherent = false}, false, 64},
+    {"primary", {.occlusion = false, .coherent = true}, EmbreeCall::packets16, 64},
+    {"vpl_shadow", {.occlusion = true, .coherent = true}, EmbreeCall::packets16, 16},
+    {"bounce", {.occlusion = false, .coherent = false}, EmbreeCall::single, 64},
+    {"bounce_occlusion", {.occlusion = true, .coherent = false}, EmbreeCall::single, 64},
 };
 
 /// What our packets take of a group of shadow rays.
@@ -74,9 +74,9 @@ struct Answers {
     }
 };
 
-/// Seconds of each repetition, of both.
+/// Seconds of each repetition: ours, Embree's best call's and its plain one's.
 struct Times {
-    std::vector<double> ours, embree;
+    std::vector<double> ours, embree, plain;
 };
 
 struct Mismatches {
@@ -357,19 +357,20 @@ void TraceBench::compare(KindIndex kind, const Block& block, const Answers& ours
 nlohmann::json TraceBench::run(KindIndex kind) {
     const RayKind& of_kind = kinds[kind];
     const EmbreeCall call = best_call(kind);
-    EmbreeQuery query(call, embree_use(kind));
+    EmbreeQuery query(call, embree_use(kind)), plain_query(of_kind.plain, embree_use(kind));
     Answers answers;
     Times times;
     Mismatches mismatches;
     std::uint64_t rays = 0;
     for (int repetition = 0; repetition < config_.repetitions; ++repetition) {
-        double ours = 0, embree = 0;
+        double ours = 0, embree = 0, plain = 0;
         for (int tile = 0; tile < tiles(); tile += of_kind.tiles_per_block) {
             const Block block = make_block(kind, tile);
             answers.resize(block.rays.size());
             // Who comes second finds the caches warm with the other's data: take turns in that too.
             if (repetition % 2 == 0) ours += time_ours(kind, block, answers);
             embree += time_embree(query, block);
+            plain += time_embree(plain_query, block);
             if (repetition % 2 == 1) ours += time_ours(kind, block, answers);
             if (repetition > 0) continue;
             compare(kind, block, answers, query, mismatches);
@@ -377,11 +378,14 @@ nlohmann::json TraceBench::run(KindIndex kind) {
         }
         times.ours.push_back(ours);
         times.embree.push_back(embree);
+        times.plain.push_back(plain);
     }
 
-    std::vector<double> ratios;
-    for (std::size_t i = 0; i < times.ours.size(); ++i)
+    std::vector<double> ratios, plain_ratios;
+    for (std::size_t i = 0; i < times.ours.size(); ++i) {
         ratios.push_back(times.embree[i] / times.ours[i]);
+        plain_ratios.push_back(times.plain[i] / times.ours[i]);
+    }
     const Spread ours = spread_of(times.ours), embree = spread_of(times.embree),
                  ratio = spread_of(ratios);
     const double triangles = std::max(1.0, double(scene_.triangles()));
@@ -396,6 +400,8 @@ nlohmann::json TraceBench::run(KindIndex kind) {
             {"embree_call", name_of(call, of_kind.use.occlusion)},
             {"ratio", ratio.median},
             {"spread", ratio.relative()},
+            {"embree_plain_call", name_of(of_kind.plain, of_kind.use.occlusion)},
+            {"ratio_to_plain", spread_of(plain_ratios).median},
             {"mismatches", mismatches.rays},
             {"judged", mismatches.judged},
             {"ours_wrong", mismatches.ours_wrong},
@@ -408,12 +414,13 @@ void print_row(const nlohmann::json& r) {
     const auto count = [&](const char* field) { return r[field].get<std::uint64_t>(); };
     const auto number = [&](const char* field) { return r[field].get<double>(); };
     fmt::print(
-        "{:<14} {:<16} {:>8.2f} {:>8.2f} {:<12} {:>6.2f} {:>5.1f}% {:>7} {:>6} {:>6} {:>6} "
-        "{:>6.0f} {:>6.0f}\n",
+        "{:<14} {:<16} {:>8.2f} {:>8.2f} {:<12} {:>6.2f} {:>5.1f}% {:>6.2f} {:>7} {:>6} {:>6} "
+        "{:>6} {:>6.0f} {:>6.0f}\n",
         r["scene"].get<std::string>(), r["rays"].get<std::string>(), number("ours_mrays_per_s"),
         number("embree_mrays_per_s"), r["embree_call"].get<std::string>(), number("ratio"),
-        100 * number("spread"), count("mismatches"), count("judged"), count("ours_wrong"),
-        count("embree_wrong"), number("bytes_per_triangle"), number("embree_bytes_per_triangle"));
+        100 * number("spread"), number("ratio_to_plain"), count("mismatches"), count("judged"),
+        count("ours_wrong"), count("embree_wrong"), number("bytes_per_triangle"),
+        number("embree_bytes_per_triangle"));
     std::fflush(stdout);
 }
 
@@ -428,11 +435,12 @@ std::vector<std::string> ray_kind_names() {
 nlohmann::json bench_trace(const std::vector<std::string>& scenes, const TraceBenchConfig& config) {
     CHECK_EQ(config.view % (4 * tile_side), 0);
     fmt::print(
-        "One thread, Mrays/s, median of {} runs; ratio with its spread (MAD). Of the rays whose\n"
-        "answers differ the first are judged in double. Bytes are those of a triangle.\n"
-        "{:<14} {:<16} {:>8} {:>8} {:<12} {:>6} {:>6} {:>7} {:>6} {:>6} {:>6} {:>6} {:>6}\n",
-        config.repetitions, "scene", "rays", "ours", "Embree", "its call", "ratio", "+-", "differ",
-        "judged", "wrong", "its", "bytes", "Embree");
+        "One thread, Mrays/s, median of {} runs; ratio with its spread (MAD), to Embree's best\n"
+        "call and to its plain one: 16 rays where they have one origin, else single rays. Of the\n"
+        "rays whose answers differ the first are judged in double. Bytes are those of a triangle.\n"
+        "{:<14} {:<16} {:>8} {:>8} {:<12} {:>6} {:>6} {:>6} {:>7} {:>6} {:>6} {:>6} {:>6} {:>6}\n",
+        config.repetitions, "scene", "rays", "ours", "Embree", "its call", "ratio", "+-", "plain",
+        "differ", "judged", "wrong", "its", "bytes", "Embree");
     nlohmann::json results = nlohmann::json::array();
     for (const std::string& scene : scenes) {
         TraceBench bench(scene, config);
