@@ -13,6 +13,7 @@ SceneBundle generate_museum(std::uint32_t triangles);
 SceneBundle generate_office();
 SceneBundle generate_robots();
 SceneBundle generate_rooms();
+SceneBundle generate_storeys(int storeys);
 SceneBundle generate_sunflowers();
 
 }  // namespace tessera

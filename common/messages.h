@@ -32,7 +32,7 @@
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 3;
+inline constexpr std::uint32_t protocol_version = 4;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -253,6 +253,8 @@ struct FrameStatistics {
     std::vector<std::string> modelled;
     std::vector<std::string> left_out;
     std::vector<WorkerShare> workers;
+    std::vector<LightEstimate> lights{};  ///< those that send most, where lights are tracked
+    std::uint32_t active_lights = 0;      ///< that the view gets something of; 0: not tracked
 
     bool operator==(const FrameStatistics&) const = default;
 };

@@ -1,5 +1,6 @@
 #include "server/frame.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -121,7 +122,28 @@ void FrameSums::fold_detail(const RunBuffer& run, std::span<const float> irradia
     detail_->add_row(y, detail, runs_ + 1);
 }
 
+/// Each light's estimates are added up tile by tile, and so to the same bits always.
+void FrameSums::fold_lights(const RunBuffer& run) {
+    for (const auto& tile : run.lights)
+        for (const LightEstimate& e : tile) lights_[e.light] += double(e.radiance);
+    light_passes_ += run.passes;
+}
+
+std::vector<LightEstimate> FrameSums::lights(std::size_t most) const {
+    std::vector<LightEstimate> all;
+    for (const auto& [light, radiance] : lights_)
+        all.push_back({light, float(radiance / double(light_passes_))});
+    const auto more = [](const LightEstimate& a, const LightEstimate& b) {
+        return a.radiance > b.radiance || (a.radiance == b.radiance && a.light < b.light);
+    };
+    std::ranges::sort(all, more);
+    all.resize(std::min(all.size(), most));
+    std::ranges::sort(all, {}, &LightEstimate::light);
+    return all;
+}
+
 void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
+    if (y0 == 0) fold_lights(run);
     const bool igi = spec_.settings.integrator == Integrator::igi;
     const std::span<const float> irradiance =
         igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
@@ -262,6 +284,7 @@ Arrival FrameAssembler::add(const TileResult& result) {
     RunBuffer& buffer = buffer_of(run);
     if (buffer.tile_here[result.task.tile]) return Arrival::duplicate;
     copy_tile(result, buffer.data);
+    buffer.lights[result.task.tile] = result.lights;
     buffer.tile_here[result.task.tile] = true;
     --buffer.tiles_missing;
     ++tasks_done_;
@@ -279,6 +302,7 @@ RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
     buffer.passes = passes_of_run(spec_.settings, run);
     buffer.tiles_missing = tile_count(spec_.size);
     buffer.tile_here.assign(tile_count(spec_.size), false);
+    buffer.lights.assign(tile_count(spec_.size), {});
     buffer.data.resize(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
     return open_.emplace(run, std::move(buffer)).first->second;
 }

@@ -20,6 +20,8 @@ using Clock = std::chrono::steady_clock;
 constexpr auto report_interval = std::chrono::milliseconds(100);
 /// Below this many runs the error estimate is too rough to stop by.
 constexpr std::uint32_t least_runs_for_error = 4;
+/// Lights that statistics list.
+constexpr std::size_t most_lights_told = 256;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
 
@@ -49,6 +51,7 @@ struct RenderFarm::Job {
     double error_estimate = 0;                      ///< after the last run folded
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
+    std::uint32_t active_lights = 0;
     std::map<std::uint64_t, WorkerShare> shares;
     Clock::time_point fold_began;
     std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
@@ -184,6 +187,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         worker.rays += result.rays;
         job.rays += result.rays;
         job.sanitised += result.sanitised;
+        job.active_lights = std::max(job.active_lights, result.active_lights);
         WorkerShare& share = job.shares[worker.id()];
         ++share.tiles;
         share.rays += result.rays;
@@ -429,6 +433,7 @@ void RenderFarm::finish_if_complete(Job& job) {
     if (!job.assembler.finished()) return;
     if (job.trace) write_trace(job);
     FinishedFrame finished{job.request, job.sums, statistics(job)};
+    finished.statistics.lights = job.sums->lights(most_lights_told);
     const FrameObserver observer = std::move(job.observer);
     end_job(job.frame());
     ++frames_done_;
@@ -497,6 +502,7 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
     out.sanitised = job.sanitised;
     out.tiles_reissued = scheduler_.reissued(job.frame());
     out.error_estimate = job.error_estimate;
+    out.active_lights = job.active_lights;
     for (const auto& [id, worker] : workers_) {
         const auto* state = worker->state_of(job.scene.name, job.scene.scene->version);
         if (!state || !state->ready) continue;

@@ -154,6 +154,8 @@ TEST(Messages, tasks_and_chunks_out_of_range_are_refused) {
     expect_refused<TileTask>([](TileTask& m) { m.tile = max_tiles; });
     expect_refused<TileResult>([](TileResult& m) { m.data.resize(5121); });
     expect_refused<TileResult>([](TileResult& m) { m.seconds = -infinity; });
+    expect_refused<TileResult>([](TileResult& m) { m.lights = {{2, 1}, {2, 1}}; });
+    expect_refused<TileResult>([](TileResult& m) { m.lights = {{2, NAN}}; });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = m.total; });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = ~std::uint64_t(0); });
     expect_refused<PictureChunk>([](PictureChunk& m) { m.total += 1; });
