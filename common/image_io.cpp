@@ -29,14 +29,28 @@ constexpr std::int64_t max_decoded_bytes = std::int64_t(1) << 30;
                                 reason.empty() ? "unknown format" : reason));
 }
 
+/// Whether decoding allocates at most max_decoded_bytes, for the pixels as well as for what
+/// OpenImageIO holds on the way: 256 rows at a time, or a row of tiles, of numbers as they are
+/// stored.
+bool is_bounded(const ImageSpec& spec, std::size_t number_bytes) {
+    constexpr std::int64_t rows_at_a_time = 256;
+    constexpr std::int64_t stored_bytes = 8;  // of the largest number, a double
+    constexpr std::int64_t most_side = 1 << 20;
+    const std::int64_t width = spec.width, height = spec.height, channels = spec.nchannels;
+    if (width < 1 || height < 1 || spec.depth > 1 || channels < 1 || channels > 64) return false;
+    if (width > most_side || height > most_side) return false;
+    if (spec.tile_width > most_side || spec.tile_height > most_side) return false;
+    const std::int64_t padded_width = width + spec.tile_width;
+    const std::int64_t rows = std::max<std::int64_t>(rows_at_a_time, spec.tile_height);
+    return width * height * channels * std::int64_t(number_bytes) <= max_decoded_bytes &&
+           padded_width * rows * channels * stored_bytes <= max_decoded_bytes;
+}
+
 /// The pixels of the first picture as T, all channels interleaved.
 template <class T>
 std::vector<T> read_pixels(ImageInput& in, TypeDesc type, const std::string& origin) {
     const ImageSpec spec = in.spec();
-    if (spec.width < 1 || spec.height < 1 || spec.depth > 1 || spec.nchannels < 1 ||
-        spec.nchannels > 64 || std::int64_t(spec.width) * spec.height > max_decoded_bytes ||
-        std::int64_t(spec.width) * spec.height * spec.nchannels * std::int64_t(sizeof(T)) >
-            max_decoded_bytes)
+    if (!is_bounded(spec, sizeof(T)))
         cannot("use", origin,
                fmt::format("{}x{} pixels with {} channels take more than {} MB, or none at all",
                            spec.width, spec.height, spec.nchannels, max_decoded_bytes >> 20));

@@ -115,6 +115,7 @@ void pack(const WorkerStatus& v, wire::WorkerStatus& out) {
     out.set_task_seconds(v.task_seconds);
     out.set_memory_bytes(v.memory_bytes);
     out.set_overdue(v.overdue);
+    out.set_busy_seconds(v.busy_seconds);
 }
 void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.peer = in.peer();
@@ -129,6 +130,7 @@ void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.task_seconds = amount(in.task_seconds(), "task_seconds");
     v.memory_bytes = in.memory_bytes();
     v.overdue = in.overdue();
+    v.busy_seconds = amount(in.busy_seconds(), "busy_seconds");
 }
 
 void pack(const SceneStatus& v, wire::SceneStatus& out) {

@@ -303,6 +303,7 @@ struct WorkerStatus {
     double task_seconds = 0;         ///< of one of its threads for a task; 0: not known yet
     std::uint64_t memory_bytes = 0;  ///< resident; 0: not known
     bool overdue = false;            ///< has let a lease expire and not been heard of since
+    double busy_seconds = 0;         ///< of its threads, spent on tiles
 
     bool operator==(const WorkerStatus&) const = default;
 };

@@ -1,6 +1,7 @@
 #include "server/metrics_endpoint.h"
 
 #include <fmt/format.h>
+#include <prometheus/text_serializer.h>
 
 #include <charconv>
 #include <memory>
@@ -21,33 +22,36 @@ constexpr std::size_t max_request_bytes = 8u << 10;
 /// For asking and answering together.
 constexpr auto reader_deadline = std::chrono::seconds(5);
 
-std::string escaped(const std::string& label) {
-    std::string out;
-    for (const char c : label) {
-        if (c == '"' || c == '\\') out += '\\';
-        out += c;
-    }
+using prometheus::ClientMetric;
+using prometheus::MetricFamily;
+using prometheus::MetricType;
+
+MetricFamily family(const char* name, MetricType type, const char* help) {
+    return {.name = name, .help = help, .type = type, .metric = {}};
+}
+
+/// The library reads the field of the family's type.
+ClientMetric metric(double value) {
+    ClientMetric out;
+    out.gauge.value = out.counter.value = value;
     return out;
 }
 
-void describe(std::string& out, const char* name, const char* type, const char* help) {
-    out += fmt::format("# HELP {} {}\n# TYPE {} {}\n", name, help, name, type);
+MetricFamily one(const char* name, MetricType type, const char* help, double value) {
+    MetricFamily out = family(name, type, help);
+    out.metric.push_back(metric(value));
+    return out;
 }
 
-template <class T>
-void add(std::string& out, const char* name, const char* type, const char* help, T value) {
-    describe(out, name, type, help);
-    out += fmt::format("{} {}\n", name, value);
-}
-
-/// One line for each worker.
 template <class F>
-void add_each(std::string& out, const Status& status, const char* name, const char* type,
-              const char* help, const F& value_of) {
-    describe(out, name, type, help);
-    for (const WorkerStatus& worker : status.workers)
-        out += fmt::format("{}{{peer=\"{}\",worker=\"{}\"}} {}\n", name, worker.peer,
-                           escaped(worker.name), value_of(worker));
+MetricFamily of_each_worker(const Status& status, const char* name, MetricType type,
+                            const char* help, const F& value_of) {
+    MetricFamily out = family(name, type, help);
+    for (const WorkerStatus& worker : status.workers) {
+        out.metric.push_back(metric(double(value_of(worker))));
+        out.metric.back().label = {{"peer", std::to_string(worker.peer)}, {"worker", worker.name}};
+    }
+    return out;
 }
 
 /// The path that a GET asks for; empty when the head is something else.
@@ -69,12 +73,12 @@ std::optional<std::uint32_t> workers_asked_for(std::string_view path) {
     return count;
 }
 
-struct Answer {
+struct Reply {
     const char* code = "200 OK";
     std::string body;
 };
 
-Answer answer_to(std::string_view path, const std::function<Status()>& status) {
+Reply answer_to(std::string_view path, const std::function<Status()>& status) {
     if (path == "/metrics" || path == "/") return {.body = metrics_text(status())};
     // Whoever is answered has come to a server that runs its loop: it listens, its scenes are
     // there.
@@ -90,38 +94,44 @@ Answer answer_to(std::string_view path, const std::function<Status()>& status) {
 }  // namespace
 
 std::string metrics_text(const Status& status) {
-    std::string out;
-    add(out, "tessera_uptime_seconds", "gauge", "Since the server started.", status.uptime_seconds);
-    add(out, "tessera_viewers", "gauge", "Viewers connected.", status.viewers);
-    add(out, "tessera_workers", "gauge", "Workers connected.", status.workers.size());
-    add(out, "tessera_frames_in_flight", "gauge", "Frames asked for and not finished.",
-        status.frames_in_flight);
-    add(out, "tessera_frames_done_total", "counter", "Frames finished.", status.frames_done);
-    add(out, "tessera_memory_bytes", "gauge", "The server's resident memory.", status.memory_bytes);
     using W = const WorkerStatus&;
-    add_each(out, status, "tessera_worker_threads", "gauge", "Render threads.",
-             [](W w) { return w.threads; });
-    add_each(out, status, "tessera_worker_leases", "gauge", "Tiles handed out and not returned.",
-             [](W w) { return w.leases; });
-    add_each(out, status, "tessera_worker_prefetch", "gauge", "Tiles that it may hold.",
-             [](W w) { return w.prefetch; });
-    add_each(out, status, "tessera_worker_tiles_total", "counter", "Tiles returned and used.",
-             [](W w) { return w.tiles; });
-    add_each(out, status, "tessera_worker_rays_total", "counter", "Rays traced for them.",
-             [](W w) { return w.rays; });
-    add_each(out, status, "tessera_worker_round_trip_seconds", "gauge", "Of the last ping.",
-             [](W w) { return w.round_trip_seconds; });
-    add_each(out, status, "tessera_worker_task_seconds", "gauge", "What a tile takes a thread.",
-             [](W w) { return w.task_seconds; });
-    add_each(out, status, "tessera_worker_memory_bytes", "gauge", "Resident memory.",
-             [](W w) { return w.memory_bytes; });
-    add_each(out, status, "tessera_worker_overdue", "gauge", "1: has let a lease expire.",
-             [](W w) { return int(w.overdue); });
-    return out;
+    return prometheus::TextSerializer().Serialize({
+        one("tessera_uptime_seconds", MetricType::Gauge, "Since the server started.",
+            status.uptime_seconds),
+        one("tessera_viewers", MetricType::Gauge, "Viewers connected.", double(status.viewers)),
+        one("tessera_workers", MetricType::Gauge, "Workers connected.",
+            double(status.workers.size())),
+        one("tessera_frames_in_flight", MetricType::Gauge, "Frames asked for and not finished.",
+            double(status.frames_in_flight)),
+        one("tessera_frames_done_total", MetricType::Counter, "Frames finished.",
+            double(status.frames_done)),
+        one("tessera_memory_bytes", MetricType::Gauge, "The server's resident memory.",
+            double(status.memory_bytes)),
+        of_each_worker(status, "tessera_worker_threads", MetricType::Gauge, "Render threads.",
+                       [](W w) { return w.threads; }),
+        of_each_worker(status, "tessera_worker_leases", MetricType::Gauge,
+                       "Tiles handed out and not returned.", [](W w) { return w.leases; }),
+        of_each_worker(status, "tessera_worker_prefetch", MetricType::Gauge,
+                       "Tiles that it may hold.", [](W w) { return w.prefetch; }),
+        of_each_worker(status, "tessera_worker_tiles_total", MetricType::Counter,
+                       "Tiles returned and used.", [](W w) { return w.tiles; }),
+        of_each_worker(status, "tessera_worker_rays_total", MetricType::Counter,
+                       "Rays traced for them.", [](W w) { return w.rays; }),
+        of_each_worker(status, "tessera_worker_busy_seconds_total", MetricType::Counter,
+                       "Of its threads, spent on tiles.", [](W w) { return w.busy_seconds; }),
+        of_each_worker(status, "tessera_worker_round_trip_seconds", MetricType::Gauge,
+                       "Of the last ping.", [](W w) { return w.round_trip_seconds; }),
+        of_each_worker(status, "tessera_worker_task_seconds", MetricType::Gauge,
+                       "What a tile takes a thread.", [](W w) { return w.task_seconds; }),
+        of_each_worker(status, "tessera_worker_memory_bytes", MetricType::Gauge, "Resident memory.",
+                       [](W w) { return w.memory_bytes; }),
+        of_each_worker(status, "tessera_worker_overdue", MetricType::Gauge,
+                       "1: has let a lease expire.", [](W w) { return int(w.overdue); }),
+    });
 }
 
 std::string http_answer(const std::string& head, const std::function<Status()>& status) {
-    const Answer answer = answer_to(path_of(head), status);
+    const Reply answer = answer_to(path_of(head), status);
     return fmt::format(
         "HTTP/1.1 {}\r\nContent-Type: text/plain; version=0.0.4\r\nContent-Length: {}\r\n"
         "Connection: close\r\n\r\n{}",

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "server/frame_trace.h"
 
@@ -24,10 +25,6 @@ constexpr std::uint32_t least_runs_for_error = 4;
 constexpr std::size_t most_lights_told = 256;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
-
-Clock::duration duration_of(double seconds) {
-    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
 
 double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
@@ -180,7 +177,8 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         job.trace->add(worker.name(), worker.threads(),
                        fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
                                    answer == Answer::first ? "" : ", not needed"),
-                       duration_of(result.seconds), now);
+                       from_seconds(result.seconds), now);
+    worker.busy_seconds += result.seconds;
     if (answer == Answer::first) {
         CHECK(job.assembler.add(result) == Arrival::stored);
         ++worker.tiles;
@@ -234,7 +232,8 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
                        .prefetch = pace.limit,
                        .task_seconds = pace.task_seconds,
                        .memory_bytes = worker->memory_bytes(),
-                       .overdue = pace.overdue});
+                       .overdue = pace.overdue,
+                       .busy_seconds = worker->busy_seconds});
     }
     return out;
 }

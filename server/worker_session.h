@@ -54,6 +54,7 @@ public:
 
     std::uint64_t tiles = 0;  ///< results used
     std::uint64_t rays = 0;
+    double busy_seconds = 0;  ///< of its threads, for all results
 
 private:
     void handle(Message message, RenderFarm& farm);

@@ -290,7 +290,8 @@ private:
                 .prefetch = number(),
                 .task_seconds = amount(),
                 .memory_bytes = big(),
-                .overdue = below(2) == 1};
+                .overdue = below(2) == 1,
+                .busy_seconds = amount()};
     }
     SceneStatus make_one(SceneStatus) {
         return {.name = name(), .version = big(), .instances = big(), .bytes = big()};
