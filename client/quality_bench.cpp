@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <filesystem>
+#include <map>
 
 #include "client/camera_options.h"
 #include "client/commands.h"
@@ -25,6 +26,7 @@ struct QualityOptions {
     int runs = 3;
     double longest = 5;
     bool quick = false;
+    bool lights = false;
     CameraOptions camera;
     LocalClusterConfig cluster;
     std::string output;
@@ -94,13 +96,22 @@ void split_error(const std::vector<Image>& pictures, const Image& reference, Qua
     row.bias = std::sqrt(std::max(bias - variance / n, 0.0) / values);
 }
 
+/// Of the mean of `values`.
+double standard_error(const std::vector<double>& values) {
+    const double n = double(values.size());
+    double mean = 0, squares = 0;
+    for (const double v : values) mean += v / n;
+    for (const double v : values) squares += (v - mean) * (v - mean);
+    return n > 1 ? std::sqrt(squares / (n - 1) / n) : 0;
+}
+
 QualityRow measure(Studio& studio, const std::string& integrator, RenderSettings settings,
                    const Image& reference, int runs) {
     QualityRow row;
     row.integrator = integrator;
     row.settings = settings;
     std::vector<Image> pictures;
-    std::vector<double> seconds;
+    std::vector<double> seconds, errors;
     Comparison sum;
     sum.identical = false;
     for (int run = 0; run < runs; ++run) {
@@ -111,6 +122,9 @@ QualityRow measure(Studio& studio, const std::string& integrator, RenderSettings
         const Comparison c = compare(picture, reference);
         sum.rmse += c.rmse * c.rmse / runs;
         sum.rmse_clamped += c.rmse_clamped * c.rmse_clamped / runs;
+        errors.push_back(c.rmse_clamped);
+        row.lights.push_back(frame.statistics.lights);
+        row.active_lights = frame.statistics.active_lights;
         sum.relmse += c.relmse / runs;
         sum.delta_e += c.delta_e / runs;
         sum.max_abs = std::max(sum.max_abs, c.max_abs);
@@ -124,6 +138,7 @@ QualityRow measure(Studio& studio, const std::string& integrator, RenderSettings
     sum.rmse_clamped = std::sqrt(sum.rmse_clamped);
     row.error = sum;
     row.estimate = std::sqrt(row.estimate);
+    row.rmse_error = standard_error(errors);
     std::nth_element(seconds.begin(), seconds.begin() + runs / 2, seconds.end());
     row.seconds = seconds[std::size_t(runs / 2)];
     split_error(pictures, reference, row);
@@ -192,6 +207,79 @@ QualityResult make_reference(Studio& studio, const QualityOptions& options) {
     return result;
 }
 
+// ---- Light tracking -----------------------------------------------------------------------------
+
+using LightShares = std::map<std::uint32_t, double>;
+
+LightShares shares_of(const std::vector<LightEstimate>& lights) {
+    double sum = 0;
+    for (const LightEstimate& e : lights) sum += double(e.radiance);
+    LightShares shares;
+    for (const LightEstimate& e : lights) shares[e.light] = double(e.radiance) / sum;
+    return shares;
+}
+
+/// How far estimates are from the converged ones, for lights of at least a share of all light.
+void print_estimates(const std::vector<LightEstimate>& converged, const QualityRow& row) {
+    constexpr double great = 0.02;
+    const LightShares wanted = shares_of(converged);
+    double worst = 0, squares = 0;
+    int count = 0;
+    for (const auto& lights : row.lights) {
+        LightShares got = shares_of(lights);
+        for (const auto& [light, share] : wanted) {
+            if (share < great) continue;
+            const double off = std::abs(got[light] / share - 1);
+            worst = std::max(worst, off);
+            squares += off * off;
+            ++count;
+        }
+    }
+    const int of_each = count / int(row.lights.size());
+    fmt::print("{} active lights; estimates of {} lights that send more than {:.0f} % each",
+               row.active_lights, of_each, 100 * great);
+    if (count > 0)
+        fmt::print(" are off by {:.1f} % (RMS), {:.1f} % at most", 100 * std::sqrt(squares / count),
+                   100 * worst);
+    fmt::print("\n");
+}
+
+/// With light tracking against without, at equal time. The reference is igi's, which sees more in
+/// the same time than our path tracer.
+QualityResult compare_lights(const QualityOptions& options, const std::string& file) {
+    Studio studio(options, file);
+    QualityResult result;
+    result.scene = studio.scene();
+    const RenderedFrame converged = studio.render(
+        options.camera.size, {.passes = 1u << 20, .seed = 0x5eed}, options.reference_time);
+    result.reference = fmt::format("refined igi, {} passes", converged.statistics.passes);
+    result.reference_error = converged.statistics.error_estimate;
+    result.reference_picture = options.reference == "auto"
+                                   ? converged.channels.at(Channel::radiance)
+                                   : read_image(options.reference);
+    print_header(result);
+    RenderSettings settings;
+    const auto add = [&](const std::string& name, int runs) {
+        return measure(studio, name, settings, result.reference_picture, runs);
+    };
+    const QualityRow with = add("tracked", options.runs);
+    print_row(with);
+    settings.track_lights = false;
+    const double seconds = add("", 1).seconds;
+    settings.passes =
+        std::uint32_t(std::max(std::lround(double(settings.passes) * with.seconds / seconds), 1L));
+    const QualityRow without = add("not tracked", options.runs);
+    print_row(without);
+    const double ratio = without.error.rmse_clamped / with.error.rmse_clamped;
+    fmt::print("at equal time {:.2f} +- {:.2f} times the error without light tracking\n", ratio,
+               ratio * std::hypot(with.rmse_error / with.error.rmse_clamped,
+                                  without.rmse_error / without.error.rmse_clamped));
+    print_estimates(converged.statistics.lights, with);
+    std::fflush(stdout);
+    result.rows = {with, without};
+    return result;
+}
+
 QualityResult bench_scene(const QualityOptions& options, const std::string& file) {
     Studio studio(options, file);
     QualityResult result = make_reference(studio, options);
@@ -222,7 +310,9 @@ void run(const QualityOptions& options) {
     if (options.reference != "auto" && options.scenes.size() > 1)
         throw UserError("--reference names one picture: bench one scene with it, or take auto");
     std::vector<QualityResult> results;
-    for (const std::string& scene : options.scenes) results.push_back(bench_scene(options, scene));
+    for (const std::string& scene : options.scenes)
+        results.push_back(options.lights ? compare_lights(options, scene)
+                                         : bench_scene(options, scene));
     if (!options.output.empty()) write_report(options.output, results);
 }
 
@@ -251,6 +341,8 @@ void add_quality_command(CLI::App* bench) {
         ->check(CLI::PositiveNumber)
         ->capture_default_str();
     command->add_flag("--quick", options->quick, "few and short: to see that it works");
+    command->add_flag("--lights", options->lights,
+                      "only compare light tracking with none, at equal time");
     command->add_option("-o,--output", options->output,
                         "folder for CSV, JSON, plots and difference pictures");
     command

@@ -18,9 +18,12 @@ struct QualityRow {
     /// Against the reference, root mean square over the runs; means of the others.
     Comparison error;
     double bias = 0;  ///< clamped RMSE that more runs would leave, the reference's noise included
-    double deviation = 0;  ///< clamped RMSE of a run around the mean of all runs
-    double estimate = 0;   ///< what the frames say of their own error; RMS over the runs
-    Image picture;         ///< of the first run
+    double deviation = 0;   ///< clamped RMSE of a run around the mean of all runs
+    double rmse_error = 0;  ///< standard error of rmse_clamped
+    std::vector<std::vector<LightEstimate>> lights{};  ///< of each run, where lights are tracked
+    std::uint32_t active_lights = 0;
+    double estimate = 0;  ///< what the frames say of their own error; RMS over the runs
+    Image picture;        ///< of the first run
 };
 
 struct QualityResult {

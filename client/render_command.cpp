@@ -121,7 +121,11 @@ void write_statistics(const std::string& file, double load_seconds, const FrameS
                            {"tiles_reissued", s.tiles_reissued},
                            {"error_estimate", s.error_estimate},
                            {"plan", {{"modelled", s.modelled}, {"left_out", s.left_out}}},
+                           {"active_lights", s.active_lights},
+                           {"lights", nlohmann::json::array()},
                            {"workers", nlohmann::json::array()}};
+    for (const LightEstimate& e : s.lights)
+        json["lights"].push_back({{"light", e.light}, {"radiance", e.radiance}});
     for (const WorkerShare& w : s.workers)
         json["workers"].push_back(
             {{"name", w.name}, {"threads", w.threads}, {"tiles", w.tiles}, {"rays", w.rays}});
@@ -305,6 +309,7 @@ void add_quality_options(CLI::App* command, RenderOptions& o) {
                                                            {"path", Integrator::path}};
     const std::map<std::string, TracerKind> tracers = {{"kdtree", TracerKind::kdtree},
                                                        {"embree", TracerKind::embree}};
+    const std::map<std::string, bool> switches = {{"on", true}, {"off", false}};
     const std::map<std::string, FilterPlace> filters = {
         {"auto", FilterPlace::server}, {"server", FilterPlace::server}, {"off", FilterPlace::off}};
     command->add_option("--integrator", o.integrator, "igi (interactive) or path (the reference)")
@@ -331,6 +336,11 @@ void add_quality_options(CLI::App* command, RenderOptions& o) {
     command->add_option("--seed", o.settings.seed, "another seed, another noise");
     command->add_option("--tracer", o.tracer, "kdtree or embree")
         ->transform(CLI::CheckedTransformer(tracers));
+    command
+        ->add_option("--light-tracking", o.settings.track_lights,
+                     "igi: of many lights, find those that matter to the view: on or off")
+        ->transform(CLI::CheckedTransformer(switches))
+        ->default_str("on");
     command
         ->add_option("--filter", o.filter,
                      "igi: where the discontinuity filter runs: auto, server, off")

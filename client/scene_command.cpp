@@ -13,6 +13,7 @@ namespace {
 struct SceneOptions {
     std::string name;
     std::string output;
+    int storeys = 0;
     bool list = false;
 };
 
@@ -32,7 +33,8 @@ void run(const SceneOptions& options) {
     if (options.name.empty() || options.output.empty())
         throw UserError(
             "scene needs a NAME and -o FILE.glb; `tessera scene --list` tells the names");
-    const auto bundle = generate_scene(options.name);
+    const auto bundle = generate_scene(
+        options.storeys > 0 ? fmt::format("{}:{}", options.name, options.storeys) : options.name);
     if (!bundle)
         throw UserError(fmt::format("there is no generated scene `{}`; there are: {}", options.name,
                                     known_names()));
@@ -46,6 +48,10 @@ void add_scene_command(CLI::App& app) {
     CLI::App* command = app.add_subcommand("scene", "Generate a benchmark scene as a .glb file");
     command->add_option("NAME", options->name, "which scene");
     command->add_option("-o,--output", options->output, "the .glb file to write");
+    command
+        ->add_option("--storeys", options->storeys,
+                     "building: so many storeys of closed rooms along corridors, as building:N")
+        ->check(CLI::Range(1, 30));
     command->add_flag("--list", options->list, "list the scenes");
     command->callback([options] { run(*options); });
 }

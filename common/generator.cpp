@@ -1,5 +1,7 @@
 #include "common/generator.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 
 #include "common/check.h"
@@ -17,6 +19,7 @@ struct Generator {
 
 constexpr std::uint32_t museum_triangles = 4096;
 constexpr std::int64_t most_museum_triangles = 1 << 20;
+constexpr std::int64_t most_storeys = 30;
 
 constexpr Generator generators[] = {
     {"cornell", "the Cornell box as measured: two blocks, one area light, 32 triangles",
@@ -28,7 +31,10 @@ constexpr Generator generators[] = {
      "ten rooms behind open doors with ten lamps each, of which a view sees few: 80,000 triangles",
      generate_rooms},
     {"foliage", "leaves in sun and sky, nothing smooth anywhere: 120,000 leaves", generate_foliage},
-    {"building", "thirty furnished rooms around an atrium, each different: a million triangles",
+    {"building",
+     "thirty furnished rooms around an atrium, each different: a million triangles; building:N: N "
+     "storeys of closed rooms along corridors, a view sees few of their lights (7: 20,000 lights, "
+     "2.5 million triangles)",
      generate_building},
     {"shading", "wood, marble and brick under a lamp: what material shaders do, 3,000 triangles",
      generate_shading},
@@ -42,6 +48,17 @@ constexpr Generator generators[] = {
      [] { return generate_museum(museum_triangles); }},
 };
 
+/// The number in names that begin with `prefix`. Throws UserError when it is not from 1 to `most`.
+std::optional<std::int64_t> number_after(std::string_view prefix, const std::string& name,
+                                         std::int64_t most) {
+    if (!name.starts_with(prefix)) return std::nullopt;
+    std::int64_t number = 0;
+    if (!parse_number(name.substr(prefix.size()), number) || number < 1 || number > most)
+        throw UserError(
+            fmt::format("{}: after `{}` a number is wanted, 1 to {}", name, prefix, most));
+    return number;
+}
+
 }  // namespace
 
 std::vector<GeneratedScene> generated_scenes() {
@@ -51,15 +68,10 @@ std::vector<GeneratedScene> generated_scenes() {
 }
 
 std::optional<SceneBundle> generate_scene(const std::string& name) {
-    constexpr std::string_view museum = "museum:";
-    if (name.starts_with(museum)) {
-        std::int64_t triangles = 0;
-        if (!parse_number(name.substr(museum.size()), triangles) || triangles < 1 ||
-            triangles > most_museum_triangles)
-            throw UserError(name +
-                            ": after `museum:` a number of triangles is wanted, 1 to 1048576");
-        return generate_museum(std::uint32_t(triangles));
-    }
+    if (const auto triangles = number_after("museum:", name, most_museum_triangles))
+        return generate_museum(std::uint32_t(*triangles));
+    if (const auto storeys = number_after("building:", name, most_storeys))
+        return generate_storeys(int(*storeys));
     for (const Generator& g : generators)
         if (g.name == name) return g.generate();
     return std::nullopt;

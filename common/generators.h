@@ -14,6 +14,7 @@ SceneBundle generate_office();
 SceneBundle generate_robots();
 SceneBundle generate_rooms();
 SceneBundle generate_shading();
+SceneBundle generate_storeys(int storeys);
 SceneBundle generate_sunflowers();
 
 }  // namespace tessera

@@ -181,6 +181,8 @@ void pack(const TileReport& v, wire::TileReport& out) {
     out.set_sanitised(v.sanitised);
     out.set_seconds(v.seconds);
     out.set_pixel_bytes(v.pixel_bytes);
+    if (!v.lights.empty()) pack(v.lights, *out.mutable_lights());
+    out.set_active_lights(v.active_lights);
 }
 void unpack(const wire::TileReport& in, TileReport& v) {
     unpack_task(in, v.task);
@@ -188,6 +190,8 @@ void unpack(const wire::TileReport& in, TileReport& v) {
     v.sanitised = in.sanitised();
     v.seconds = amount(in.seconds(), "seconds");
     v.pixel_bytes = in.pixel_bytes();
+    unpack(in.lights(), v.lights);
+    v.active_lights = in.active_lights();
 }
 
 void pack(const EditOperation& v, wire::EditOperation& out);
@@ -698,6 +702,7 @@ void pack(const RenderSettings& v, wire::RenderSettings& out) {
     out.set_interleave(v.interleave);
     out.set_bounces(v.bounces);
     out.set_seed(v.seed);
+    out.set_track_lights(v.track_lights);
 }
 void unpack(const wire::RenderSettings& in, RenderSettings& v) {
     v.integrator = unpack_enum(in.integrator(), Integrator::path, "integrator");
@@ -708,6 +713,21 @@ void unpack(const wire::RenderSettings& in, RenderSettings& v) {
     v.interleave = in_range(in.interleave(), 1u, max_interleave, "interleave");
     v.bounces = in.bounces();
     v.seed = in.seed();
+    v.track_lights = in.track_lights();
+}
+
+void pack(const std::vector<LightEstimate>& v, wire::LightEstimates& out) {
+    for (const LightEstimate& estimate : v) {
+        out.add_light(estimate.light);
+        out.add_radiance(estimate.radiance);
+    }
+}
+void unpack(const wire::LightEstimates& in, std::vector<LightEstimate>& v) {
+    if (in.light_size() != in.radiance_size()) refuse("light estimates lack numbers or values");
+    for (int i = 0; i < in.light_size(); ++i) {
+        if (i > 0 && in.light(i) <= in.light(i - 1)) refuse("light estimates are not in order");
+        v.push_back({in.light(i), amount(in.radiance(i), "radiance")});
+    }
 }
 
 void pack_channels(ChannelSet v, google::protobuf::RepeatedField<int>& out) {
@@ -740,6 +760,7 @@ void pack(const FrameSpec& v, wire::FrameSpec& out) {
     pack(v.camera, *out.mutable_camera());
     pack(v.settings, *out.mutable_settings());
     pack_channels(v.extra, *out.mutable_extra());
+    if (!v.lights.empty()) pack(v.lights, *out.mutable_lights());
 }
 void unpack(const wire::FrameSpec& in, FrameSpec& v) {
     require_set(in.has_camera(), "camera");
@@ -754,6 +775,7 @@ void unpack(const wire::FrameSpec& in, FrameSpec& v) {
     check_view(v.camera);
     unpack(in.settings(), v.settings);
     v.extra = unpack_channels(in.extra());
+    unpack(in.lights(), v.lights);
 }
 
 void pack(const FrameRequest& v, wire::FrameRequest& out) {
@@ -903,6 +925,8 @@ void pack(const FrameStatistics& v, wire::FrameStatistics& out) {
     pack_texts(v.modelled, *out.mutable_modelled());
     pack_texts(v.left_out, *out.mutable_left_out());
     pack_each(v.workers, *out.mutable_workers());
+    if (!v.lights.empty()) pack(v.lights, *out.mutable_lights());
+    out.set_active_lights(v.active_lights);
 }
 void unpack(const wire::FrameStatistics& in, FrameStatistics& v) {
     v.build_seconds = amount(in.build_seconds(), "build_seconds");
@@ -915,6 +939,8 @@ void unpack(const wire::FrameStatistics& in, FrameStatistics& v) {
     v.modelled = unpack_texts(in.modelled());
     v.left_out = unpack_texts(in.left_out());
     unpack_each(in.workers(), v.workers);
+    unpack(in.lights(), v.lights);
+    v.active_lights = in.active_lights();
 }
 
 void pack(const FrameDone& v, wire::FrameDone& out) {

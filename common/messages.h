@@ -254,6 +254,8 @@ struct FrameStatistics {
     std::vector<std::string> modelled;
     std::vector<std::string> left_out;
     std::vector<WorkerShare> workers;
+    std::vector<LightEstimate> lights{};  ///< those that send most, where lights are tracked
+    std::uint32_t active_lights = 0;      ///< that the view gets something of; 0: not tracked
 
     bool operator==(const FrameStatistics&) const = default;
 };

@@ -33,6 +33,7 @@ struct RenderSettings {
     std::uint32_t interleave = 9;  ///< igi: n, for n x n interleaved sets of VPLs
     std::uint32_t bounces = 64;    ///< indirect bounces at most; Russian roulette ends most earlier
     std::uint32_t seed = 0;
+    bool track_lights = true;  ///< igi, with many lights: find those that matter to the view
 
     bool operator==(const RenderSettings&) const = default;
 };
@@ -72,7 +73,16 @@ constexpr int floats_per_pixel(ChannelSet set) {
     return n;
 }
 
-/// One picture to be made: scene version, camera, size and settings decide every bit of it.
+/// What one light sends into a picture: the radiance of its pixels, mean of the components, summed.
+struct LightEstimate {
+    std::uint32_t light = 0;  ///< numbered by the scene version
+    float radiance = 0;
+
+    bool operator==(const LightEstimate&) const = default;
+};
+
+/// One picture to be made: scene version, camera, size, settings and what was found out before
+/// decide every bit of it.
 struct FrameSpec {
     std::uint64_t frame = 0;  ///< unique on one server
     std::string scene;        ///< name of the scene on the server
@@ -80,7 +90,8 @@ struct FrameSpec {
     ImageSize size;
     Camera camera;
     RenderSettings settings;
-    ChannelSet extra;  ///< channels wanted beside the picture
+    ChannelSet extra;                     ///< channels wanted beside the picture
+    std::vector<LightEstimate> lights{};  ///< by an earlier frame of the view; by number
 
     bool operator==(const FrameSpec&) const = default;
 };
@@ -145,6 +156,8 @@ struct TileResult {
     std::uint64_t sanitised = 0;  ///< values that were not finite and were replaced by zero
     float seconds = 0;            ///< time spent rendering
     std::vector<float> data;
+    std::vector<LightEstimate> lights{};  ///< into the tile, where lights are tracked; by number
+    std::uint32_t active_lights = 0;      ///< that the view gets something of; 0: not tracked
 
     bool operator==(const TileResult&) const = default;
 };
@@ -154,8 +167,10 @@ struct TileReport {
     TileTask task;
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
-    float seconds = 0;              ///< spent rendering
-    std::uint32_t pixel_bytes = 0;  ///< of its pixels, packed
+    float seconds = 0;                    ///< spent rendering
+    std::uint32_t pixel_bytes = 0;        ///< of its pixels, packed
+    std::vector<LightEstimate> lights{};  ///< as in TileResult
+    std::uint32_t active_lights = 0;
 
     bool operator==(const TileReport&) const = default;
 };

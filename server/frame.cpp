@@ -125,7 +125,28 @@ void FrameSums::fold_detail(const RunBuffer& run, std::span<const float> irradia
     detail_->add_row(y, detail, runs_ + 1);
 }
 
+/// Each light's estimates are added up tile by tile, and so to the same bits always.
+void FrameSums::fold_lights(const RunBuffer& run) {
+    for (const auto& tile : run.lights)
+        for (const LightEstimate& e : tile) lights_[e.light] += double(e.radiance);
+    light_passes_ += run.passes;
+}
+
+std::vector<LightEstimate> FrameSums::lights(std::size_t most) const {
+    std::vector<LightEstimate> all;
+    for (const auto& [light, radiance] : lights_)
+        all.push_back({light, float(radiance / double(light_passes_))});
+    const auto more = [](const LightEstimate& a, const LightEstimate& b) {
+        return a.radiance > b.radiance || (a.radiance == b.radiance && a.light < b.light);
+    };
+    std::ranges::sort(all, more);
+    all.resize(std::min(all.size(), most));
+    std::ranges::sort(all, {}, &LightEstimate::light);
+    return all;
+}
+
 void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
+    if (y0 == 0) fold_lights(run);
     const bool igi = spec_.settings.integrator == Integrator::igi;
     const std::span<const float> irradiance =
         igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
@@ -275,7 +296,8 @@ bool FrameAssembler::fits(const TileTask& task, std::span<const std::byte> pixel
            is_packed_tile(channels_, tile_rect(spec_.size, task.tile).pixels(), pixels);
 }
 
-Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pixels) {
+Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pixels,
+                            std::vector<LightEstimate> lights) {
     if (!fits(task, pixels)) return Arrival::broken;
     const std::uint32_t run = *run_of(spec_, task);
     if (run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
@@ -284,6 +306,7 @@ Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pix
     RunBuffer& buffer = buffer_of(run);
     if (buffer.tile_here[task.tile]) return Arrival::duplicate;
     unpack_tile(channels_, pixels, tile_rect(spec_.size, task.tile), spec_.size, buffer.data);
+    buffer.lights[task.tile] = std::move(lights);
     buffer.tile_here[task.tile] = true;
     --buffer.tiles_missing;
     ++tasks_done_;
@@ -297,6 +320,7 @@ RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
     buffer.passes = passes_of_run(spec_.settings, run);
     buffer.tiles_missing = tile_count(spec_.size);
     buffer.tile_here.assign(tile_count(spec_.size), false);
+    buffer.lights.assign(tile_count(spec_.size), {});
     buffer.data = pool_->take(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
     return open_.emplace(run, std::move(buffer)).first->second;
 }

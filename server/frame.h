@@ -12,6 +12,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <unordered_map>
 #include <vector>
 
 #include "common/image.h"
@@ -27,6 +28,7 @@ struct RunBuffer {
     std::uint32_t tiles_missing = 0;
     std::vector<bool> tile_here;
     std::vector<float> data;
+    std::vector<std::vector<LightEstimate>> lights;  ///< of each tile; empty: not tracked
 };
 
 /// What a frame adds up to so far.
@@ -59,10 +61,14 @@ public:
     /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth
     /// and surface as they are in the first pass.
     Image channel(Channel c) const;
+    /// What lights send into one pass, on average of those since the sums were last resumed: the
+    /// `most` that send most, by number.
+    std::vector<LightEstimate> lights(std::size_t most) const;
 
 private:
     std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
     void fold_row(const RunBuffer& run, std::span<const float> irradiance, int y);
+    void fold_lights(const RunBuffer& run);
     void fold_detail(const RunBuffer& run, std::span<const float> irradiance, int y);
     void make_means();
     std::vector<std::span<std::byte>> parts();
@@ -79,6 +85,8 @@ private:
     std::optional<DetailBlend> detail_;
     std::vector<float> filtered_;  ///< irradiance of the run being folded
     std::map<Channel, std::vector<float>> extra_;
+    std::unordered_map<std::uint32_t, double> lights_;
+    std::uint32_t light_passes_ = 0;
 };
 
 /// What add() did with a result.
@@ -110,7 +118,8 @@ public:
 
     /// Whether this is one of the frame's tasks with pixels of such a tile, packed.
     bool fits(const TileTask& task, std::span<const std::byte> pixels) const;
-    Arrival add(const TileTask& task, std::span<const std::byte> pixels);
+    Arrival add(const TileTask& task, std::span<const std::byte> pixels,
+                std::vector<LightEstimate> lights = {});
 
     /// The next run in order once it is complete; to be folded, then handed back to run_folded.
     /// One at a time: nothing while a run is out.

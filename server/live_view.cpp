@@ -1,5 +1,8 @@
 #include "server/live_view.h"
 
+#include <algorithm>
+#include <functional>
+#include <map>
 #include <utility>
 
 namespace tessera {
@@ -26,6 +29,25 @@ FrameRequest request_of(const View& view) {
 
 Image image_of(const FrameSums& sums, Channel channel) {
     return channel == Channel::radiance ? sums.picture() : sums.channel(channel);
+}
+
+/// Lights that a view remembers from one frame to the next.
+constexpr std::size_t most_lights_kept = 1024;
+
+/// Estimates that follow the newest ones without jumping (Wald 2004, 14.4.2).
+std::vector<LightEstimate> smoothed(const std::vector<LightEstimate>& before,
+                                    const std::vector<LightEstimate>& now) {
+    constexpr float share_of_newest = 0.5f;
+    if (before.empty()) return now;
+    std::map<std::uint32_t, float> sums;
+    for (const LightEstimate& e : before) sums[e.light] += (1 - share_of_newest) * e.radiance;
+    for (const LightEstimate& e : now) sums[e.light] += share_of_newest * e.radiance;
+    std::vector<LightEstimate> out;
+    for (const auto& [light, radiance] : sums) out.push_back({light, radiance});
+    std::ranges::stable_sort(out, std::greater(), &LightEstimate::radiance);
+    out.resize(std::min(out.size(), most_lights_kept));
+    std::ranges::sort(out, {}, &LightEstimate::light);
+    return out;
 }
 
 }  // namespace
@@ -87,8 +109,10 @@ void LiveView::begin() {
     begun_ = wanted_;
     version_ = scene_->now.scene->version;
     const auto weak = weak_from_this();
+    FrameRequest request = request_of(begun_);
+    request.spec.lights = lights_;
     frame_ = farm_.begin_frame(
-        request_of(begun_), scene_->now,
+        request, scene_->now,
         {.progress = [](const FrameProgress&) {},
          .done =
              [weak](const FinishedFrame& frame) {
@@ -137,11 +161,13 @@ std::function<void(const FrameSums&)> LiveView::picture_maker(const FrameStatist
                                   .first_seconds = first_seconds_,
                                   .render_seconds = statistics.render_seconds,
                                   .rays = statistics.rays},
-                        .image = {}};
+                        .image = {},
+                        .lights = {}};
     return [weak = weak_from_this(), strand = farm_.strand(), frame = frame_,
             picture](const FrameSums& sums) {
         LivePicture made = picture;
         made.image = std::make_shared<const Image>(image_of(sums, made.view.shown));
+        made.lights = sums.lights(most_lights_kept);
         asio::post(strand, [weak, frame, made] {
             if (const auto self = weak.lock()) self->arrive(frame, made);
         });
@@ -151,6 +177,7 @@ std::function<void(const FrameSums&)> LiveView::picture_maker(const FrameStatist
 void LiveView::arrive(std::uint64_t frame, LivePicture picture) {
     if (frame != frame_) return;  // begun anew in the meantime
     shown_ = true;
+    lights_ = smoothed(lights_, picture.lights);
     if (picture.about.settled) frame_ = 0;
     // Format and tone may have changed since.
     picture.view = begun_;

@@ -20,6 +20,7 @@ struct LivePicture {
     View view;  ///< as it is shown
     ViewPicture about;
     std::shared_ptr<const Image> image;  ///< of channel view.shown
+    std::vector<LightEstimate> lights;   ///< what they send into it, where they are tracked
 };
 
 class LiveView : public std::enable_shared_from_this<LiveView> {
@@ -60,6 +61,7 @@ private:
     bool making_ = false;      ///< its first picture is being made
     double first_seconds_ = 0;
     std::chrono::steady_clock::time_point last_made_;
+    std::vector<LightEstimate> lights_;  ///< what they send into the view, changing smoothly
     std::optional<LivePicture> newest_;
     bool taken_ = true;
 };

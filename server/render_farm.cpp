@@ -21,6 +21,8 @@ using Clock = std::chrono::steady_clock;
 constexpr auto report_interval = std::chrono::milliseconds(100);
 /// Below this many runs the error estimate is too rough to stop by.
 constexpr std::uint32_t least_runs_for_error = 4;
+/// Lights that statistics list.
+constexpr std::size_t most_lights_told = 256;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
 
@@ -60,6 +62,7 @@ struct RenderFarm::Job {
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
     std::uint64_t pixel_bytes = 0;  ///< of tiles as they came
+    std::uint32_t active_lights = 0;
     std::map<std::uint64_t, WorkerShare> shares;
     Clock::time_point fold_began;
     std::optional<FrameTrace> trace;  ///< from the first tile on, where one is wanted
@@ -202,12 +205,13 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
                        from_seconds(tile.seconds), now);
     worker.busy_seconds += tile.seconds;
     if (answer != Answer::first) return;
-    CHECK(job.assembler.add(tile.task, pixels) == Arrival::stored);
+    CHECK(job.assembler.add(tile.task, pixels, tile.lights) == Arrival::stored);
     ++worker.tiles;
     worker.rays += tile.rays;
     job.rays += tile.rays;
     job.sanitised += tile.sanitised;
     job.pixel_bytes += tile.pixel_bytes;
+    job.active_lights = std::max(job.active_lights, tile.active_lights);
     WorkerShare& share = job.shares[worker.id()];
     ++share.tiles;
     share.rays += tile.rays;
@@ -453,6 +457,7 @@ void RenderFarm::finish_if_complete(Job& job) {
     if (!job.assembler.finished()) return;
     if (job.trace) write_trace(job);
     FinishedFrame finished{job.request, job.sums, statistics(job)};
+    finished.statistics.lights = job.sums->lights(most_lights_told);
     const FrameObserver observer = std::move(job.observer);
     end_job(job.frame());
     ++frames_done_;
@@ -521,6 +526,7 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
     out.sanitised = job.sanitised;
     out.tiles_reissued = scheduler_.reissued(job.frame());
     out.error_estimate = job.error_estimate;
+    out.active_lights = job.active_lights;
     for (const auto& [id, worker] : workers_) {
         const auto* state = worker->state_of(job.scene.name, job.scene.scene->version);
         if (!state || !state->ready) continue;

@@ -16,9 +16,9 @@
 namespace tessera {
 namespace {
 
-FrameRequest small_office(const SceneBundle& bundle) {
+FrameRequest small_picture(const SceneBundle& bundle) {
     FrameRequest request;
-    request.spec.scene = "office";
+    request.spec.scene = "scene";
     request.spec.size = {200, 120};
     request.spec.camera = bundle.scene.cameras.front();
     return request;
@@ -38,33 +38,41 @@ const SceneBundle& office() {
     return bundle;
 }
 
+/// A hundred lamps, of which those that matter are found.
+const SceneBundle& rooms() {
+    static const SceneBundle bundle = *generate_scene("rooms");
+    return bundle;
+}
+
 Image render(
-    Cluster& cluster, const FrameRequest& request,
+    Cluster& cluster, const SceneBundle& scene, const FrameRequest& request,
     const std::function<void(const FrameProgress&)>& progress = [](const FrameProgress&) {}) {
-    cluster.client.upload_scene("office", office());
+    cluster.client.upload_scene("scene", scene);
     return cluster.client.render(request, progress).channels.at(Channel::radiance);
 }
 
 TEST(Cluster, same_bits_from_any_number_of_workers_and_threads) {
-    const FrameRequest request = small_office(office());
     Cluster one(1, 1);
-    const Image expected = render(one, request);
+    const Image of_office = render(one, office(), small_picture(office()));
+    const Image of_rooms = render(one, rooms(), small_picture(rooms()));
     for (const auto& [workers, threads] : {std::pair(1, 2), std::pair(2, 1), std::pair(3, 2)}) {
         Cluster cluster(workers, threads);
-        EXPECT_EQ(render(cluster, request), expected)
+        EXPECT_EQ(render(cluster, office(), small_picture(office())), of_office)
+            << workers << " workers, " << threads << " threads";
+        EXPECT_EQ(render(cluster, rooms(), small_picture(rooms())), of_rooms)
             << workers << " workers, " << threads << " threads";
     }
 }
 
 TEST(Cluster, same_bits_when_a_worker_is_killed_in_mid_frame) {
-    FrameRequest request = small_office(office());
+    FrameRequest request = small_picture(rooms());
     request.spec.settings.passes = 24;
     Cluster undisturbed(1, 2);
-    const Image expected = render(undisturbed, request);
+    const Image expected = render(undisturbed, rooms(), request);
 
     Cluster cluster(2, 1);
     bool killed = false;
-    const Image picture = render(cluster, request, [&](const FrameProgress& p) {
+    const Image picture = render(cluster, rooms(), request, [&](const FrameProgress& p) {
         if (killed || p.workers < 2 || p.tiles_done == 0) return;
         kill(cluster.processes.workers().front(), SIGKILL);
         killed = true;
@@ -74,10 +82,10 @@ TEST(Cluster, same_bits_when_a_worker_is_killed_in_mid_frame) {
 }
 
 TEST(Cluster, a_second_upload_of_the_same_scene_renders_the_same) {
-    const FrameRequest request = small_office(office());
+    const FrameRequest request = small_picture(office());
     Cluster cluster(1, 2);
-    const Image first = render(cluster, request);
-    EXPECT_EQ(render(cluster, request), first);
+    const Image first = render(cluster, office(), request);
+    EXPECT_EQ(render(cluster, office(), request), first);
 }
 
 TEST(Cluster, wrong_token_is_refused_with_a_reason) {

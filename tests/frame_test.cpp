@@ -38,7 +38,10 @@ struct Assembly {
     explicit Assembly(const FrameSpec& s) : spec(s), assembler(s), sums(s) {}
 
     Arrival add(const TileTask& task) {
-        return assembler.add(task, packed(spec, fake_answer(spec, task)));
+        // Numbers whose sums depend on their order.
+        return assembler.add(task, packed(spec, fake_answer(spec, task)),
+                             {{task.tile % 3, 0.1f * float(task.tile + 1)},
+                              {3 + task.tile % 5, 1e6f / float(task.first_pass + 1)}});
     }
     void fold(int band_rows) {
         while (std::optional<RunBuffer> run = assembler.take_complete()) {
@@ -84,8 +87,19 @@ TEST(Frame, any_order_and_duplication_gives_the_same_bits) {
             EXPECT_TRUE(frame.assembler.finished());
             EXPECT_EQ(frame.assembler.tasks_done(), tasks.size());
             expect_same_bits(frame, expected);
+            EXPECT_EQ(frame.sums.lights(100), expected.sums.lights(100));
         }
     }
+}
+
+TEST(Frame, lights_that_send_most_are_told_by_number) {
+    const Assembly frame = assemble_in_order(small_frame(Integrator::igi, 2));
+    const std::vector<LightEstimate> all = frame.sums.lights(100), most = frame.sums.lights(5);
+    ASSERT_EQ(all.size(), 8u);
+    ASSERT_EQ(most.size(), 5u);
+    for (std::uint32_t i = 0; i < 5; ++i) EXPECT_EQ(most[i], all[3 + i]);
+    // Passes of 12 tiles; a light of five gets a million, and half of it in the second pass.
+    EXPECT_NEAR(all[7].radiance, 0.75e6f * 2, 1);
 }
 
 TEST(Frame, sums_that_were_saved_go_on_to_the_same_bits) {

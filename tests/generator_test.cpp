@@ -131,6 +131,20 @@ TEST(Generator, building_has_a_million_triangles_that_do_not_repeat) {
     EXPECT_LT(triangles, 1'300'000u);
 }
 
+TEST(Generator, storeys_hold_thousands_of_lamps) {
+    // Seven are two and a half million triangles and more than 20,000 lamps.
+    const SceneBundle bundle = *generate_scene("building:1");
+    expect_sound(bundle);
+    std::size_t lamps = 0, triangles = 0;
+    for (const WorldTriangle& t : world_triangles(bundle)) {
+        ++triangles;
+        if (t.emission != vec3(0)) ++lamps;
+    }
+    EXPECT_GT(7 * lamps, 20'000u);
+    EXPECT_NEAR(7 * double(triangles), 2.5e6, 3e5);
+    EXPECT_THROW(generate_scene("building:31"), UserError);
+}
+
 TEST(Generator, sunflowers_are_a_billion_triangles) {
     const SceneBundle bundle = *generate_scene("sunflowers");
     std::vector<std::size_t> of_object;

@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <glm/gtc/matrix_transform.hpp>
+#include <map>
 
 #include "tests/render_fixture.h"
 #include "worker/texture.h"
@@ -524,6 +525,138 @@ TEST_P(LightTransport, WhiteGlassAndCoatsVanishInAFurnace) {
 
 INSTANTIATE_TEST_SUITE_P(Both, LightTransport, testing::Values(Integrator::path, Integrator::igi),
                          [](const auto& i) { return i.param == Integrator::igi ? "igi" : "path"; });
+
+// ---- Many lights --------------------------------------------------------------------------------
+
+/// Two rooms of 2 m with 40 lamps each under their ceilings, and a slit of that width between them.
+SceneBundle two_rooms(float slit, bool lit_here = true) {
+    SceneBundle bundle;
+    MeshBuilder walls;
+    walls.box({-1.05f, -1, -1}, {-0.95f, 1, -0.5f * slit});
+    walls.box({-1.05f, -1, 0.5f * slit}, {-0.95f, 1, 1});
+    add_shape(bundle, walls.take(), lambert(vec3(0.6f)));
+    add_shape(bundle, room({-3.05f, -1, -1}, {1.05f, 1, 1}), lambert(vec3(0.6f, 0.5f, 0.4f)));
+    for (int i = 0; i < 40; ++i) {
+        mat4 place(1);
+        place[3] = vec4(-0.8f + 0.2f * float(i % 8), 0.9f, -0.8f + 0.4f * float(i / 8), 1);
+        const Material glow = emitter(vec3(1 + float(i % 3), 2, 3));
+        if (lit_here) add_shape(bundle, square(0.05f, 0, false), glow, place);
+        place[3].x -= 2.1f;
+        add_shape(bundle, square(0.05f, 0, false), glow, place);
+    }
+    return bundle;
+}
+
+/// In the room to the right: of its floor and walls, none of its lamps.
+Camera in_right_room() {
+    Camera camera;
+    camera.eye = {0.9f, 0.2f, 0.9f};
+    camera.at = {-0.3f, -0.9f, -0.4f};
+    camera.fov_y = 70;
+    return camera;
+}
+
+FrameSpec tracked_frame(std::uint32_t passes, std::uint32_t seed = 0) {
+    FrameSpec spec = frame_of(Integrator::igi, {32, 32}, in_right_room(), passes);
+    // Many light paths for few pixels.
+    spec.settings.interleave = 9;
+    spec.settings.seed = seed;
+    return spec;
+}
+
+/// Sums over all results.
+std::map<std::uint32_t, double> sums_of_lights(const std::vector<TileResult>& results) {
+    std::map<std::uint32_t, double> sums;
+    for (const TileResult& r : results)
+        for (const LightEstimate& e : r.lights) sums[e.light] += double(e.radiance);
+    return sums;
+}
+
+TEST(LightTracking, ConvergesToThePathTracersPicture) {
+    const SceneBundle bundle = two_rooms(0.3f);
+    const FrameSpec path = frame_of(Integrator::path, {32, 32}, in_right_room(), 256);
+    expect_near(mean_radiance(bundle, tracked_frame(96)), mean_radiance(bundle, path), 0.01f);
+}
+
+TEST(LightTracking, LightThroughASlitIsNotLost) {
+    // All lamps are beyond it, and few paths find their way.
+    const SceneBundle bundle = two_rooms(0.05f, false);
+    const FrameSpec path = frame_of(Integrator::path, {32, 32}, in_right_room(), 256);
+    expect_near(mean_radiance(bundle, tracked_frame(32)), mean_radiance(bundle, path), 0.15f);
+}
+
+TEST(LightTracking, AllLampsOccludedLeaveTheRoomBlack) {
+    const SceneBundle bundle = two_rooms(0, false);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const FrameSpec spec = tracked_frame(2);
+    const std::vector<TileResult> results = render_all(renderer, spec);
+    EXPECT_EQ(mean_radiance(spec, results), vec3(0));
+    for (const TileResult& r : results) {
+        EXPECT_EQ(r.sanitised, 0u);
+        EXPECT_TRUE(r.lights.empty());
+        EXPECT_EQ(r.active_lights, 0u);
+    }
+}
+
+TEST(LightTracking, ActiveLightsAreThoseOfTheRoom) {
+    const SceneBundle bundle = two_rooms(0);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const std::vector<TileResult> results = render_all(renderer, tracked_frame(1));
+    // Two triangles a lamp; some neighbours beyond the wall stand in.
+    EXPECT_GE(results.front().active_lights, 80u);
+    EXPECT_LE(results.front().active_lights, 100u);
+}
+
+TEST(LightTracking, EstimatesAddUpToThePicture) {
+    const SceneBundle bundle = two_rooms(0.3f);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const FrameSpec spec = tracked_frame(4);
+    const std::vector<TileResult> results = render_all(renderer, spec);
+    double sum = 0;
+    for (const auto& [light, radiance] : sums_of_lights(results)) sum += radiance;
+    const double shown = double(mean_component(mean_radiance(spec, results))) *
+                         double(spec.size.pixels()) * spec.settings.passes;
+    EXPECT_NEAR(sum, shown, 1e-4 * shown);
+}
+
+TEST(LightTracking, EstimatesOfAFrameAreNearTheConvergedOnes) {
+    const SceneBundle bundle = two_rooms(0.3f);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    FrameSpec spec = tracked_frame(8);
+    spec.size = {64, 64};
+    const auto once = sums_of_lights(render_all(renderer, spec));
+    FrameSpec longer = tracked_frame(64, 1);
+    longer.frame = 2;
+    const auto converged = sums_of_lights(render_all(renderer, longer));
+    double sum = 0, sum_once = 0;
+    for (const auto& [light, radiance] : converged) sum += radiance;
+    for (const auto& [light, radiance] : once) sum_once += radiance;
+    // The triangles of a lamp are one light.
+    double squares = 0;
+    int great = 0;
+    for (std::uint32_t light = 0; light < 160; light += 2) {
+        const auto share = [&](const auto& lights, double all) {
+            const auto of = [&](std::uint32_t i) {
+                return lights.contains(i) ? lights.at(i) / all : 0.0;
+            };
+            return of(light) + of(light + 1);
+        };
+        if (share(converged, sum) < 0.02) continue;
+        squares += std::pow(share(once, sum_once) / share(converged, sum) - 1, 2);
+        ++great;
+    }
+    EXPECT_GT(great, 10);
+    EXPECT_LT(std::sqrt(squares / great), 0.1);
+}
+
+TEST(LightTracking, WhatIsRecalledChangesNoiseOnly) {
+    const SceneBundle bundle = two_rooms(0.3f);
+    FrameSpec spec = tracked_frame(32);
+    const vec3 without = mean_radiance(bundle, spec);
+    // Nonsense, as a scene that has changed would give.
+    spec.lights = {{0, 5}, {17, 1}, {1000, 3}};
+    expect_near(mean_radiance(bundle, spec), without, 0.015f);
+}
 
 TEST(TextureLookup, StartsAtTheTopLeftAndWraps) {
     Texture t{.width = 2, .height = 2, .srgb = false, .rgba = {}};

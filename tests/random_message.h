@@ -281,7 +281,15 @@ private:
                 .rays = big(),
                 .sanitised = big(),
                 .seconds = float(amount()),
-                .pixel_bytes = below(400)};
+                .pixel_bytes = below(400),
+                .lights = lights(),
+                .active_lights = number()};
+    }
+    std::vector<LightEstimate> lights() {
+        std::vector<LightEstimate> out;
+        for (std::uint32_t light = below(3); out.size() < 4; light += 1 + below(1000))
+            out.push_back({light, float(amount())});
+        return out;
     }
     TileResults make_one(TileResults) { return {list<TileReport>()}; }
     Failure make_one(Failure) { return {.request = big(), .reason = name()}; }

@@ -68,6 +68,20 @@ INSTANTIATE_TEST_SUITE_P(Each, RendererOf,
                          testing::Combine(testing::Values(Integrator::path, Integrator::igi),
                                           testing::Values(TracerKind::kdtree, TracerKind::embree)));
 
+TEST(Renderer, TracksLightsToTheSameBits) {
+    const SceneBundle bundle = *generate_scene("rooms");
+    const FrameSpec spec = frame_of(Integrator::igi, {48, 32}, bundle.scene.cameras.at(0), 2);
+    Renderer one(bundle.scene, bundle.blobs, {}), two(bundle.scene, bundle.blobs, {.threads = 3});
+    const std::vector<TileResult> expected = render_all(one, spec);
+    two.begin_frame(spec);
+    const std::vector<TileTask> tasks = tasks_of(spec);
+    for (std::size_t i = tasks.size(); i-- > 0;) {
+        const TileResult got = *two.render(tasks[i]);
+        EXPECT_EQ(bits(got.data), bits(expected[i].data));
+        EXPECT_EQ(got.lights, expected[i].lights);
+    }
+}
+
 TEST(Renderer, ATaskIsTheSumOfItsPasses) {
     const SceneBundle bundle = cornell();
     for (const Integrator integrator : {Integrator::path, Integrator::igi}) {

@@ -15,22 +15,31 @@ std::uint32_t direct_candidates(const World& world) {
     return std::uint32_t(std::clamp<std::size_t>(world.lights.size() / 2, 1, 4));
 }
 
+/// What a pixel shows of irradiance that is added to `sum`.
+vec3 shown(const PixelSample& pixel, const vec3& e, const vec3 PixelSample::*sum) {
+    return sum == &PixelSample::emitted ? e : pixel.albedo / pi * e;
+}
+
 /// Shadow rays under way, and what each adds to its pixel when it is free.
 struct ShadowBatch {
-    std::vector<Ray> rays;
-    std::vector<std::uint32_t> pixels;
-    std::vector<vec3> irradiance;
-    std::vector<std::uint8_t> blocked;
+    LightTally* tally = nullptr;
+    std::vector<Ray> rays{};
+    std::vector<std::uint32_t> pixels{};
+    std::vector<vec3> irradiance{};
+    std::vector<std::uint32_t> lights{};  ///< only with a tally
+    std::vector<std::uint8_t> blocked{};
 
     void reserve(std::size_t count) {
         rays.reserve(count);
         pixels.reserve(count);
         irradiance.reserve(count);
     }
-    void add(const Ray& ray, std::uint32_t pixel, const vec3& e) {
+    /// `light`: where it comes from.
+    void add(const Ray& ray, std::uint32_t pixel, const vec3& e, std::uint32_t light) {
         rays.push_back(ray);
         pixels.push_back(pixel);
         irradiance.push_back(e);
+        if (tally) lights.push_back(light);
     }
     /// Adds what is free to `sum` of its pixel. Returns the number of rays traced.
     std::uint64_t trace(const Tracer& tracer, std::span<PixelSample> samples,
@@ -39,6 +48,9 @@ struct ShadowBatch {
         tracer.occluded(rays, blocked);
         for (std::size_t i = 0; i < rays.size(); ++i)
             if (!blocked[i]) samples[pixels[i]].*sum += irradiance[i];
+        if (!tally) return rays.size();
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            if (!blocked[i]) tally->add(lights[i], shown(samples[pixels[i]], irradiance[i], sum));
         return rays.size();
     }
 };
@@ -48,6 +60,12 @@ float fraction(float x) { return x - std::floor(x); }
 struct DirectSample {
     LightSample light;
     vec3 contribution{0};
+
+    /// What candidates are chosen by: about what they will bring.
+    float promise() const {
+        constexpr float unlikely = 0.1f;
+        return mean_component(contribution) * (light.unlikely ? unlikely : 1.0f);
+    }
 };
 
 /// How far a surface can be and exceed the bound of the geometry term, along a ray that leaves at
@@ -133,7 +151,7 @@ void sample_direct(const World& world, const IgiConfig& config, const LitVertex&
     float u = u_choice.y;
     for (std::uint32_t i = 0; i < candidates; ++i) {
         const DirectSample c = direct_candidate(world, config, v, i, u_choice.x, u_place);
-        const float weight = mean_component(c.contribution);
+        const float weight = c.promise();
         if (!(weight > 0) || !std::isfinite(weight)) continue;
         // Reservoir of one, with the same random number stretched again after each decision.
         total += weight;
@@ -148,7 +166,8 @@ void sample_direct(const World& world, const IgiConfig& config, const LitVertex&
     }
     if (total <= 0) return;
     batch.add(shadow_ray(v.at, chosen.light), pixel,
-              chosen.contribution * (total / (chosen_weight * float(candidates))));
+              chosen.contribution * (total / (chosen_weight * float(candidates))),
+              chosen.light.index);
 }
 
 /// Points that want direct light, answered together where all lights are lamps.
@@ -185,7 +204,7 @@ public:
         for (std::size_t i = 0; i < orgs_.size(); ++i) {
             const vec3 e = of(requests_.e, i);
             if (e != vec3(0))
-                shadows_.add({orgs_[i], 0, of(requests_.end, i) - orgs_[i], 1}, pixels_[i], e);
+                shadows_.add({orgs_[i], 0, of(requests_.end, i) - orgs_[i], 1}, pixels_[i], e, 0);
         }
         orgs_.clear();
         pixels_.clear();
@@ -216,7 +235,7 @@ void sample_vpl(const VplSets& sets, const IgiConfig& config, const SurfacePoint
     const Vpl& vpl = sets.vpls[chosen];
     if (bounces + vpl.bounces > config.bounces) return;
     const vec3 e = throughput * float(per_set) * irradiance(s, vpl, config.max_geometry);
-    if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e);
+    if (max_component(e) > 0) batch.add({vpl.org, 0, s.org - vpl.org, 1}, pixel, e, vpl.light);
 }
 
 std::vector<std::uint32_t> pixels_of(std::span<const Receiver> receivers) {
@@ -334,6 +353,8 @@ void add_emission(const World& world, const IgiConfig& config, const RestPath& p
     if (path.via != Via::ideal)
         weight = 1 - direct_weight(world, world.lights.pdf(path.vertex.at.p, hit, s), path.pdf);
     const vec3 e = path.throughput * s.emission * weight;
+    if (const auto light = config.tally ? world.lights.light_of(hit) : std::nullopt)
+        config.tally->add(*light, shown(pixel, e, sum));
     if (path.bounces > 0 || path.via != Via::broad || sum == &PixelSample::emitted)
         pixel.*sum += e;
     else if (hit.t > config.filter_angle * pixel.depth)
@@ -381,20 +402,25 @@ public:
         : receivers_(receivers), targets_(points_of(receivers)) {}
 
     /// Adds the VPL's light; returns the number of rays traced.
-    std::uint64_t gather(const Tracer& tracer, const Vpl& vpl, float max_geometry,
+    std::uint64_t gather(const Tracer& tracer, const Vpl& vpl, const IgiConfig& config,
                          std::span<PixelSample> pixels) const {
         vec3 e[Targets::max_count];
         RayMask facing{};
         std::uint64_t rays = 0;
         for (std::size_t i = 0; i < receivers_.size(); ++i) {
-            e[i] = irradiance(receivers_[i]->surface, vpl, max_geometry);
+            e[i] = irradiance(receivers_[i]->surface, vpl, config.max_geometry);
             if (!(max_component(e[i]) > 0)) continue;
             set(facing, i);
             ++rays;
         }
         const RayMask blocked = tracer.occluded_from(vpl.org, targets_, facing, nullptr);
-        for (std::size_t i = 0; i < receivers_.size(); ++i)
-            if (has(facing, i) && !has(blocked, i)) pixels[receivers_[i]->pixel].indirect += e[i];
+        for (std::size_t i = 0; i < receivers_.size(); ++i) {
+            if (!has(facing, i) || has(blocked, i)) continue;
+            PixelSample& pixel = pixels[receivers_[i]->pixel];
+            pixel.indirect += e[i];
+            if (config.tally)
+                config.tally->add(vpl.light, shown(pixel, e[i], &PixelSample::indirect));
+        }
         return rays;
     }
 
@@ -435,7 +461,7 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
                           vec3 PixelSample::*sum) {
     std::vector<Ray> rays;
     std::vector<Hit> hits;
-    ShadowBatch batch;
+    ShadowBatch batch{.tally = config.tally};
     batch.reserve(2 * paths.size());
     DirectBatch direct(world, config, batch);
     TriangleCache cache;
@@ -476,9 +502,16 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
 
 }  // namespace
 
+std::vector<LightEstimate> LightTally::estimates() const {
+    std::vector<LightEstimate> out;
+    for (std::uint32_t i = 0; i < radiance_.size(); ++i)
+        if (radiance_[i] > 0 && std::isfinite(radiance_[i])) out.push_back({i, radiance_[i]});
+    return out;
+}
+
 std::uint64_t gather_direct(const World& world, const TilePass& tile, const IgiConfig& config,
                             std::span<const Receiver> receivers, std::span<PixelSample> pixels) {
-    ShadowBatch batch;
+    ShadowBatch batch{.tally = config.tally};
     batch.reserve(receivers.size());
     DirectBatch direct(world, config, batch);
     const SampleTable samplers = tile.samplers(pixels_of(receivers), 1, direct_pairs, tile.pass);
@@ -515,14 +548,14 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
                                                                 ends[set + 1] - ends[set]);
     };
 
-    ShadowBatch batch;
+    ShadowBatch batch{.tally = config.tally};
     batch.reserve(receivers.size());
     std::uint64_t traced = 0;
     for (std::uint32_t set = 0; set < set_count; ++set) {
         if (of_set(set).size() >= ReceiverPacket::least) {
             for_each_packet(of_set(set), [&](const ReceiverPacket& packet) {
                 for (const Vpl& vpl : sets.set(set))
-                    traced += packet.gather(world.tracer, vpl, config.max_geometry, pixels);
+                    traced += packet.gather(world.tracer, vpl, config, pixels);
             });
             continue;
         }
@@ -530,7 +563,7 @@ std::uint64_t gather_indirect(const World& world, const TilePass& tile, const Ig
             for (const Receiver* r : of_set(set)) {
                 const vec3 e = irradiance(r->surface, vpl, config.max_geometry);
                 if (max_component(e) > 0)
-                    batch.add({vpl.org, 0, r->surface.org - vpl.org, 1}, r->pixel, e);
+                    batch.add({vpl.org, 0, r->surface.org - vpl.org, 1}, r->pixel, e, vpl.light);
             }
         }
     }
@@ -564,7 +597,7 @@ std::uint64_t gather_rest(const World& world, const TilePass& tile, const IgiCon
 
     // What the receivers' own narrow lobes reflect; ideal ones the eye rays have followed.
     paths.clear();
-    ShadowBatch batch;
+    ShadowBatch batch{.tally = config.tally};
     for (const Receiver& r : receivers) {
         if (!r.surface.bsdf.has_narrow()) continue;
         RestPath path{

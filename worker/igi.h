@@ -21,6 +21,21 @@
 
 namespace tessera {
 
+/// What each light sends into some pixels: the radiance of the pixels, summed up.
+class LightTally {
+public:
+    explicit LightTally(std::size_t lights) : radiance_(lights) {}
+
+    void add(std::uint32_t light, const vec3& radiance) {
+        radiance_[light] += mean_component(radiance);
+    }
+    /// Those that send anything, by number.
+    std::vector<LightEstimate> estimates() const;
+
+private:
+    std::vector<float> radiance_;
+};
+
 struct IgiConfig {
     std::uint32_t interleave = 3;
     /// Bound of cos * cos / d^2 between a VPL and a receiver, m^-2: without it VPLs near a surface
@@ -34,6 +49,8 @@ struct IgiConfig {
     /// Null: all caustics are found by rays.
     const PhotonMap* photons = nullptr;
     const Caustics* caustics = nullptr;  ///< which `photons` are of
+    /// Where to add up what each light sends; null where lights are not tracked.
+    LightTally* tally = nullptr;
 };
 
 /// Adds direct irradiance to `pixels`, but for the share of near lamps that gather_compensation()

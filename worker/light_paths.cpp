@@ -88,6 +88,7 @@ struct Walk {
     vec3 flux{0};
     std::uint32_t bounces = 0;
     std::uint32_t mirrors = 0;
+    std::uint32_t light = 0;  ///< where it began, where lights are tracked
 };
 
 Walk start_walk(const World& world, Sampler sampler) {
@@ -95,6 +96,32 @@ Walk start_walk(const World& world, Sampler sampler) {
     const vec2 u_place = sampler.next();
     const EmissionSample e = world.lights.sample_emission(u_light, u_place, sampler.next());
     return {sampler, e.ray, e.flux};
+}
+
+/// Each light's paths are points of a sequence of its own, so that they stay where they are when
+/// others get more or fewer.
+Walk start_walk_of(const World& world, const Lights::PathStart& start, std::uint32_t seed,
+                   std::uint32_t round) {
+    Sampler sampler(start.number, hash(seed, start.index), round);
+    const float u_side = sampler.next().x;
+    const vec2 u_place = sampler.next();
+    const EmissionSample e =
+        world.lights.sample_emission_of(start.index, u_side, u_place, sampler.next());
+    return {.sampler = sampler, .ray = e.ray, .flux = e.flux, .light = start.index};
+}
+
+std::vector<Walk> start_walks(const World& world, const LightPaths& paths) {
+    std::vector<Walk> walks;
+    walks.reserve(paths.count);
+    if (!world.lights.is_tracked()) {
+        for (std::uint32_t i = 0; i < paths.count; ++i)
+            walks.push_back(start_walk(world, Sampler(paths.round * paths.count + i, paths.seed)));
+        return walks;
+    }
+    const float u = sobol_point(paths.round, 0, hash(paths.seed, 0xd3)).x;
+    for (const Lights::PathStart& start : world.lights.deal_paths(paths.count, u))
+        walks.push_back(start_walk_of(world, start, paths.seed, paths.round));
+    return walks;
 }
 
 /// Where a walk goes on by all but ideal lobes, and with what flux.
@@ -122,7 +149,7 @@ bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vect
     if (walk.bounces++ >= bounces) return false;
     const vec3 leaving = walk.flux * s.bsdf.reflectance() * shading_correction(s);
     if (max_component(leaving) > 0 && is_finite(leaving)) {
-        vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces, s.n, s.wo, s.bsdf});
+        vpls.push_back({s.org, s.ng, leaving / pi, walk.bounces, s.n, s.wo, s.bsdf, walk.light});
     } else if (!s.bsdf.has_narrow()) {
         return false;
     }
@@ -138,14 +165,11 @@ bool scatter(const SurfacePoint& s, std::uint32_t bounces, Walk& walk, std::vect
 
 }  // namespace
 
-std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::uint32_t count,
-                                  std::uint32_t bounces, std::uint32_t seed,
+std::vector<Vpl> walk_light_paths(const World& world, const LightPaths& paths,
                                   std::uint64_t& rays_traced) {
     std::vector<Vpl> vpls;
-    if (world.lights.empty() || bounces == 0) return vpls;
-    std::vector<Walk> walks;
-    for (std::uint32_t i = 0; i < count; ++i)
-        walks.push_back(start_walk(world, Sampler(first + i, seed)));
+    if (world.lights.empty() || paths.bounces == 0) return vpls;
+    std::vector<Walk> walks = start_walks(world, paths);
 
     // All walks take one step at a time, so that rays are traced in batches.
     std::vector<Ray> rays;
@@ -165,7 +189,7 @@ std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::
                 meets_delta(s.bsdf, walk.sampler, walk.flux)
                     ? pass_delta(s, Carries::flux, walk.sampler, walk.flux, walk.ray) &&
                           ++walk.mirrors <= max_mirrors
-                    : scatter(s, bounces, walk, vpls);
+                    : scatter(s, paths.bounces, walk, vpls);
             if (goes_on) walks[kept++] = walk;
         }
         walks.erase(walks.begin() + std::ptrdiff_t(kept), walks.end());
@@ -189,7 +213,10 @@ std::uint32_t count_light_paths(const World& world, const VplConfig& config) {
     constexpr std::uint32_t tried = 256;
     std::uint64_t rays = 0;
     const std::size_t made =
-        walk_light_paths(world, 0, tried, config.bounces, hash(config.seed, 0xc0), rays).size();
+        walk_light_paths(
+            world, {.count = tried, .bounces = config.bounces, .seed = hash(config.seed, 0xc0)},
+            rays)
+            .size();
     const std::uint64_t wanted =
         std::uint64_t(candidates_per_vpl) * config.interleave * config.interleave * config.vpls;
     return std::uint32_t(std::clamp<std::uint64_t>(wanted * tried / std::max<std::size_t>(made, 1),
@@ -207,8 +234,12 @@ VplSets make_vpl_sets(const World& world, const VplConfig& config, std::uint32_t
     sets.first.assign(set_count + 1, 0);
 
     // Walk more paths than needed; passes continue one sequence.
-    std::vector<Vpl> all = walk_light_paths(world, pass * config.paths, config.paths,
-                                            config.bounces, hash(config.seed, 0xd2), sets.rays);
+    std::vector<Vpl> all = walk_light_paths(world,
+                                            {.round = pass,
+                                             .count = config.paths,
+                                             .bounces = config.bounces,
+                                             .seed = hash(config.seed, 0xd2)},
+                                            sets.rays);
     sort_along_curve(all, world.tracer.bounds());
     const auto contribution = contributions(world, all, pilots, config.max_geometry);
     sets.rays += all.size() * pilots.size();

@@ -16,11 +16,17 @@
 
 namespace tessera {
 
-/// Walks `count` light paths, points first .. first + count - 1 of the sequence `seed`, for at most
-/// `bounces` reflections each. The VPLs' intensities are those of a single path: divide by their
-/// number. Adds the rays traced to `rays`.
-std::vector<Vpl> walk_light_paths(const World& world, std::uint32_t first, std::uint32_t count,
-                                  std::uint32_t bounces, std::uint32_t seed, std::uint64_t& rays);
+/// Which light paths.
+struct LightPaths {
+    std::uint32_t round = 0;  ///< rounds go on where those before ended
+    std::uint32_t count = 0;
+    std::uint32_t bounces = 64;  ///< at most
+    std::uint32_t seed = 0;
+};
+
+/// The VPLs' intensities are those of a single path: divide by their number. Adds the rays traced
+/// to `rays`.
+std::vector<Vpl> walk_light_paths(const World& world, const LightPaths& paths, std::uint64_t& rays);
 
 /// Irradiance at a receiver from a VPL, occlusion aside, as the receiver's broad lobes weigh it;
 /// `max_geometry` bounds cos * cos / d^2.

@@ -91,6 +91,33 @@ void LightTree::build(std::uint32_t node, std::span<std::uint32_t> order,
     nodes_[node].bounds = join(nodes_[child].bounds, nodes_[child + 1].bounds);
 }
 
+std::vector<std::uint32_t> LightTree::order() const {
+    std::vector<std::uint32_t> lights, open;
+    if (!empty()) open.push_back(0);
+    while (!open.empty()) {
+        const Node& node = nodes_[open.back()];
+        open.pop_back();
+        if (node.child == 0)
+            lights.push_back(node.light);
+        else
+            open.insert(open.end(), {node.child + 1, node.child});
+    }
+    return lights;
+}
+
+LightTree LightTree::without(std::span<const std::uint32_t> lights) const {
+    LightTree rest = *this;
+    for (const std::uint32_t light : lights) rest.nodes_[leaf_of_light_[light]].bounds.power = 0;
+    // Children come after their parents. The other bounds may stay larger than need be.
+    for (std::size_t i = nodes_.size(); i-- > 0;) {
+        Node& node = rest.nodes_[i];
+        if (node.child != 0)
+            node.bounds.power =
+                rest.nodes_[node.child].bounds.power + rest.nodes_[node.child + 1].bounds.power;
+    }
+    return rest;
+}
+
 /// NaN when neither can shine.
 float LightTree::chance_of_first(std::uint32_t child, const vec3& p) const {
     const float first = importance(nodes_[child].bounds, p);

@@ -26,6 +26,13 @@ public:
     explicit LightTree(std::span<const LightBounds> lights);
 
     bool empty() const { return nodes_.empty(); }
+    const LightBounds& bounds(std::uint32_t index) const {
+        return nodes_[leaf_of_light_[index]].bounds;
+    }
+    /// All lights, each beside its neighbours.
+    std::vector<std::uint32_t> order() const;
+    /// The same tree, of which sample() takes none of these lights.
+    LightTree without(std::span<const std::uint32_t> lights) const;
     /// Nothing when no light can reach `p`; 0 <= u < 1. Not when empty.
     std::optional<Distribution::Choice> sample(const vec3& p, float u) const;
     /// Chance that sample() takes light `index`.

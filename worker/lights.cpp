@@ -26,8 +26,29 @@ vec3 mean_emission(const Surfaces& surfaces, std::uint32_t instance, std::uint32
 /// there are so few, four candidates find what matters.
 constexpr std::size_t most_chosen_by_power = 32;
 
-/// Of choices by the tree, those that go to lights which are everywhere, if there are any.
-constexpr float far_share = 0.5f;
+/// Of choices by the tree, those that go to lights which are everywhere, if there are any and as
+/// long as nothing is known about the view.
+constexpr float usual_far_share = 0.5f;
+
+/// Of choices among the near lights of a view, those that go to lights of which it seems to get
+/// nothing.
+constexpr float rest_share = 0.03f;
+/// Of light paths, those that are dealt out by power alone.
+constexpr float power_share = 0.1f;
+
+/// Side by side in the tree; what is found of one counts for all, to a share.
+constexpr std::size_t neighbours = 8;
+constexpr float spread_share = 0.5f;
+/// Lights that send less of all light are not active.
+constexpr float least_active = 1e-5f;
+
+constexpr std::uint32_t not_active = ~0u;
+
+float sum(std::span<const float> values) {
+    double total = 0;
+    for (const float v : values) total += double(v);
+    return float(total);
+}
 
 }  // namespace
 
@@ -106,23 +127,111 @@ void Lights::build_tree(std::span<const float> powers) {
     }
     tree_ = LightTree(near);
     far_ = Distribution(far);
+    far_share_ = far_.empty() ? 0 : usual_far_share;
 }
 
-std::optional<Distribution::Choice> Lights::choose(const vec3& p, float u) const {
-    if (tree_.empty()) return choice_.sample(u);
-    if (far_.empty()) return tree_.sample(p, u);
-    const bool far = u < far_share;
-    const float again = far ? u / far_share : (u - far_share) / (1 - far_share);
-    auto choice = far ? far_.sample(again) : tree_.sample(p, again);
-    if (choice) choice->probability *= far ? far_share : 1 - far_share;
-    return choice;
+/// Neighbours stand in for each other where few have been asked.
+LightEstimates Lights::spread(const LightEstimates& estimates) const {
+    LightEstimates out = estimates;
+    const std::vector<std::uint32_t> order = tree_.order();
+    for (std::size_t first = 0; first < order.size(); first += neighbours) {
+        const std::size_t end = std::min(first + neighbours, order.size());
+        float power = 0, direct = 0, indirect = 0;
+        for (std::size_t k = first; k < end; ++k) {
+            power += tree_.bounds(order[k]).power;
+            direct += estimates.direct[order[k]];
+            indirect += estimates.indirect[order[k]];
+        }
+        if (!(power > 0)) continue;
+        for (std::size_t k = first; k < end; ++k) {
+            const float share = spread_share * tree_.bounds(order[k]).power / power;
+            float& d = out.direct[order[k]];
+            float& i = out.indirect[order[k]];
+            d = (1 - spread_share) * d + share * direct;
+            i = (1 - spread_share) * i + share * indirect;
+        }
+    }
+    return out;
+}
+
+Lights Lights::tracked(const LightEstimates& found) const {
+    const LightEstimates estimates = spread(found);
+    const float total = sum(estimates.direct) + sum(estimates.indirect);
+    Lights out = *this;
+    std::vector<LightBounds> bounds;
+    float far = 0;
+    out.place_in_active_.assign(size(), not_active);
+    for (std::uint32_t i = 0; i < size(); ++i) {
+        if (is_far(i)) {
+            far += estimates.direct[i];
+        } else if (estimates.direct[i] + estimates.indirect[i] > least_active * total) {
+            out.place_in_active_[i] = std::uint32_t(bounds.size());
+            out.active_.push_back(i);
+            bounds.push_back(tree_.bounds(i));
+        }
+    }
+    out.active_tree_ = LightTree(bounds);
+    out.tree_ = tree_.without(out.active_);
+    const float direct = sum(estimates.direct);
+    if (!far_.empty() && direct > 0) out.far_share_ = std::clamp(far / direct, 0.05f, 0.9f);
+
+    // Light paths: most by what comes of them.
+    out.path_order_ = tree_.order();
+    const float direct_too = 0.1f;
+    const float all = sum(estimates.indirect) + direct_too * direct;
+    std::vector<float> shares;
+    for (const std::uint32_t i : out.path_order_) {
+        const float seen = estimates.indirect[i] + direct_too * estimates.direct[i];
+        shares.push_back(power_share * choice_.probability(i) +
+                         (all > 0 ? (1 - power_share) * seen / all : 0));
+    }
+    out.path_choice_ = Distribution(shares);
+    out.path_chance_.resize(size());
+    for (std::uint32_t k = 0; k < size(); ++k)
+        out.path_chance_[out.path_order_[k]] = out.path_choice_.probability(k);
+    return out;
+}
+
+/// A light taken with a probability.
+struct Lights::Chosen {
+    std::uint32_t index = 0;
+    float probability = 0;
+    bool unlikely = false;
+};
+
+std::optional<Lights::Chosen> Lights::choose_near(const vec3& p, float u) const {
+    // A number at the end of the range goes to the rest: candidates begin to share at the front.
+    const bool rest = active_.empty() || u >= 1 - rest_share;
+    const float share = active_.empty() ? 1 : rest ? rest_share : 1 - rest_share;
+    const float again = active_.empty() ? u : rest ? (u - (1 - rest_share)) / share : u / share;
+    const auto choice = (rest ? tree_ : active_tree_).sample(p, std::min(again, 0x1.fffffep-1f));
+    if (!choice) return {};
+    return Chosen{rest ? choice->index : active_[choice->index], share * choice->probability,
+                  rest && !active_.empty()};
+}
+
+float Lights::probability_near(const vec3& p, std::uint32_t index) const {
+    if (active_.empty()) return tree_.probability(p, index);
+    const std::uint32_t place = place_in_active_[index];
+    return place == not_active ? rest_share * tree_.probability(p, index)
+                               : (1 - rest_share) * active_tree_.probability(p, place);
+}
+
+std::optional<Lights::Chosen> Lights::choose(const vec3& p, float u) const {
+    if (!tree_.empty() && far_share_ == 0) return choose_near(p, u);
+    if (!tree_.empty() && u >= far_share_) {
+        auto chosen = choose_near(p, (u - far_share_) / (1 - far_share_));
+        if (chosen) chosen->probability *= 1 - far_share_;
+        return chosen;
+    }
+    const auto choice = tree_.empty() ? choice_.sample(u) : far_.sample(u / far_share_);
+    return Chosen{choice.index, choice.probability * (tree_.empty() ? 1 : far_share_)};
 }
 
 float Lights::probability(const vec3& p, std::uint32_t index) const {
     if (tree_.empty()) return choice_.probability(index);
-    if (far_.empty()) return tree_.probability(p, index);
-    return is_far(index) ? far_share * far_.probability(index)
-                         : (1 - far_share) * tree_.probability(p, index);
+    return is_far(index) ? far_share_ * far_.probability(index)
+                         : (1 - far_share_) * probability_near(p, index);
 }
 
 void Lights::add_triangles(std::uint32_t instance, std::vector<float>& powers) {
@@ -171,11 +280,16 @@ std::optional<LightSample> Lights::sample(const vec3& p, float u_light, const ve
     if (empty()) return {};
     const auto chosen = choose(p, u_light);
     if (!chosen) return {};
-    if (chosen->index < triangles_.size())
-        return sample_triangle_light(triangles_[chosen->index], p, chosen->probability, u);
-    const std::size_t index = chosen->index - triangles_.size();
-    if (index == punctual_.size()) return sample_sky(chosen->probability, u);
-    return sample_punctual(punctual_[index], p, chosen->probability);
+    const std::size_t punctual = chosen->index - triangles_.size();
+    auto s = chosen->index < triangles_.size()
+                 ? sample_triangle_light(triangles_[chosen->index], p, chosen->probability, u)
+             : punctual < punctual_.size()
+                 ? sample_punctual(punctual_[punctual], p, chosen->probability)
+                 : sample_sky(chosen->probability, u);
+    if (!s) return {};
+    s->index = chosen->index;
+    s->unlikely = chosen->unlikely;
+    return s;
 }
 
 std::optional<LightSample> Lights::sample_sky(float probability, const vec2& u) const {
@@ -229,17 +343,22 @@ std::optional<LightSample> Lights::sample_punctual(const Light& light, const vec
     return s;
 }
 
-float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const {
+std::optional<std::uint32_t> Lights::light_of(const Hit& hit) const {
     const auto begin = triangles_.begin() + first_of_instance_[hit.instance];
     const auto end = triangles_.begin() + first_of_instance_[hit.instance + 1];
     const auto light = std::lower_bound(
         begin, end, hit.triangle,
         [](const TriangleLight& l, std::uint32_t triangle) { return l.triangle < triangle; });
-    if (empty() || light == end || light->triangle != hit.triangle) return 0;
+    if (light == end || light->triangle != hit.triangle) return {};
+    return std::uint32_t(light - triangles_.begin());
+}
+
+float Lights::pdf(const vec3& from, const Hit& hit, const SurfacePoint& s) const {
+    const auto light = light_of(hit);
+    if (empty() || !light) return 0;
     const vec3 to = s.p - from;
     const float cosine = std::abs(dot(s.ng, s.wo));
-    return probability(from, std::uint32_t(light - triangles_.begin())) * dot(to, to) /
-           (light->area * cosine);
+    return probability(from, *light) * dot(to, to) / (triangles_[*light].area * cosine);
 }
 
 float Lights::sky_pdf(const vec3& dir) const {
@@ -249,14 +368,37 @@ float Lights::sky_pdf(const vec3& dir) const {
 EmissionSample Lights::sample_emission(float u_light, const vec2& u_place,
                                        const vec2& u_dir) const {
     const auto chosen = choice_.sample(u_light);
-    const std::size_t index = chosen.index - triangles_.size();
-    EmissionSample s = chosen.index < triangles_.size()
-                           ? emit_from_triangle(triangles_[chosen.index], chosen.u, u_place, u_dir)
-                       : index < punctual_.size()
-                           ? emit_from_punctual(punctual_[index], u_place, u_dir)
-                           : emit_from_sky(u_place, u_dir);
+    EmissionSample s = emit(chosen.index, chosen.u, u_place, u_dir);
     s.flux /= chosen.probability;
     return s;
+}
+
+EmissionSample Lights::sample_emission_of(std::uint32_t index, float u_side, const vec2& u_place,
+                                          const vec2& u_dir) const {
+    EmissionSample s = emit(index, u_side, u_place, u_dir);
+    s.flux /= path_chance_[index];
+    return s;
+}
+
+EmissionSample Lights::emit(std::uint32_t index, float u_side, const vec2& u_place,
+                            const vec2& u_dir) const {
+    const std::size_t punctual = index - triangles_.size();
+    if (index < triangles_.size())
+        return emit_from_triangle(triangles_[index], u_side, u_place, u_dir);
+    return punctual < punctual_.size() ? emit_from_punctual(punctual_[punctual], u_place, u_dir)
+                                       : emit_from_sky(u_place, u_dir);
+}
+
+std::vector<Lights::PathStart> Lights::deal_paths(std::uint32_t count, float u) const {
+    std::vector<PathStart> starts;
+    starts.reserve(count);
+    for (std::uint32_t i = 0; i < count; ++i) {
+        const float at = std::min((float(i) + u) / float(count), 0x1.fffffep-1f);
+        const std::uint32_t index = path_order_[path_choice_.sample(at).index];
+        const bool again = !starts.empty() && starts.back().index == index;
+        starts.push_back({index, again ? starts.back().number + 1 : 0});
+    }
+    return starts;
 }
 
 EmissionSample Lights::emit_from_triangle(const TriangleLight& light, float u_side,

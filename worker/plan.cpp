@@ -101,7 +101,13 @@ ScenePlan make_plan(const Scene& scene, const Surfaces& surfaces, const Lights& 
                                             surfaces.sanitised_texels()));
     if (lights.has_tree())
         plan.modelled.push_back(
-            fmt::format("many lights: {}, chosen from by a tree", lights.size()));
+            fmt::format("many lights: {}, chosen from by a tree, and in igi by what the view gets "
+                        "of each (light source tracking)",
+                        lights.size()));
+    else if (!lights.empty())
+        plan.left_out.push_back(
+            fmt::format("light source tracking: {} lights are few enough to be chosen by power",
+                        lights.size()));
     note(plan, lights.sky().empty() ? 0 : 1, "environment",
          scene.environment.texture < 0 ? " colour" : " map");
     note(plan, count_materials(scene, [](const Material& m) { return m.normal_map.texture >= 0; }),

@@ -13,6 +13,7 @@
 #include "worker/cutout_tracer.h"
 #include "worker/igi.h"
 #include "worker/light_paths.h"
+#include "worker/light_tracking.h"
 #include "worker/path.h"
 #include "worker/plan.h"
 
@@ -56,6 +57,20 @@ std::vector<Receiver> find_pilots(const World& world, const FrameSpec& spec) {
     return pilots;
 }
 
+/// All lights, or where there are many those that matter to the view.
+std::shared_ptr<const Lights> lights_of(const FrameSpec& spec, const Surfaces& surfaces,
+                                        const Lights& lights, const Tracer& tracer) {
+    const RenderSettings& settings = spec.settings;
+    if (settings.integrator != Integrator::igi || !settings.track_lights || !lights.has_tree())
+        return {std::shared_ptr<void>(), &lights};
+    const World world{surfaces, lights, tracer};
+    std::uint64_t rays = 0;
+    LightEstimates estimates =
+        scout_lights(world, spec.camera, spec.size, hash(settings.seed, 5), rays);
+    recall(spec.lights, estimates);
+    return std::make_shared<const Lights>(lights.tracked(estimates));
+}
+
 /// A frame between begin_frame and end_frame.
 class FrameState {
 public:
@@ -63,7 +78,8 @@ public:
                const Caustics& caustics, std::shared_ptr<const Tracer> tracer, bool has_rest)
         : spec_(spec),
           tracer_(std::move(tracer)),
-          world_{surfaces, lights, *tracer_,
+          lights_(lights_of(spec, surfaces, lights, *tracer_)),
+          world_{surfaces, *lights_, *tracer_,
                  spec.settings.integrator == Integrator::path ? Lobes::all : Lobes::broad},
           camera_(spec.camera, spec.size),
           vpl_config_(vpl_config(spec.settings, surfaces.bounds())),
@@ -78,8 +94,12 @@ public:
 
     const FrameSpec& spec() const { return spec_; }
 
-    /// One pass of one tile; returns the number of rays traced.
-    std::uint64_t trace(const TilePass& tile, std::span<PixelSample> pixels) {
+    /// The lights to choose from.
+    const Lights& lights() const { return *lights_; }
+
+    /// One pass of one tile; returns the number of rays traced. Adds what each light sends to
+    /// `tally`, unless it is null.
+    std::uint64_t trace(const TilePass& tile, std::span<PixelSample> pixels, LightTally* tally) {
         std::vector<Receiver> receivers;
         std::uint64_t rays = trace_eye_rays(world_, camera_, tile, pixels, receivers);
         const RenderSettings& settings = spec_.settings;
@@ -97,7 +117,8 @@ public:
             .filter_angle = float(vpl_config_.interleave) * camera_.pixel_width(),
             .has_rest = has_rest_,
             .photons = has_photons ? &pass->photons : nullptr,
-            .caustics = &caustics_};
+            .caustics = &caustics_,
+            .tally = tally};
         rays += gather_direct(world_, tile, config, receivers, pixels);
         rays += gather_indirect(world_, tile, config, pass->sets, receivers, pixels);
         return rays + gather_rest(world_, tile, config, pass->sets, receivers, pixels);
@@ -137,6 +158,7 @@ private:
 
     FrameSpec spec_;
     std::shared_ptr<const Tracer> tracer_;
+    std::shared_ptr<const Lights> lights_;
     World world_;
     Pinhole camera_;
     VplConfig vpl_config_;
@@ -316,11 +338,18 @@ std::optional<TileResult> Renderer::render(const TileTask& task) const {
     result.task = task;
     result.data.resize(rect.pixels() * std::size_t(floats_per_pixel(tile_channels(spec))));
     std::vector<PixelSample> samples;
+    std::optional<LightTally> tally;
+    if (frame->lights().is_tracked()) tally.emplace(frame->lights().size());
     for (std::uint32_t i = 0; i < task.pass_count; ++i) {
         samples.assign(rect.pixels(), {});
-        result.rays += frame->trace(
-            {spec.size, rect, task.first_pass + i, hash(spec.settings.seed, 1)}, samples);
+        result.rays +=
+            frame->trace({spec.size, rect, task.first_pass + i, hash(spec.settings.seed, 1)},
+                         samples, tally ? &*tally : nullptr);
         add_pass(spec, samples, i == 0, result);
+    }
+    if (tally) {
+        result.lights = tally->estimates();
+        result.active_lights = std::uint32_t(frame->lights().active_count());
     }
     result.seconds = float(seconds_since(start));
     return result;

@@ -253,13 +253,15 @@ void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) 
     run_in(
         pools_.render,
         [frame, task]() -> std::optional<FinishedTile> {
-            const auto result = frame->ended ? std::nullopt : frame->renderer->render(task);
+            auto result = frame->ended ? std::nullopt : frame->renderer->render(task);
             if (!result) return {};
             const ChannelSet channels = tile_channels(frame->spec);
             const auto pixels = result->data.size() / std::size_t(floats_per_pixel(channels));
             FinishedTile tile{{task, result->rays, result->sanitised, result->seconds},
                               pack_tile(channels, pixels, result->data)};
             tile.report.pixel_bytes = std::uint32_t(tile.pixels.size());
+            tile.report.lights = std::move(result->lights);
+            tile.report.active_lights = result->active_lights;
             return tile;
         },
         [frame](Session& self, std::optional<FinishedTile> tile) {

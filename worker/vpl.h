@@ -19,6 +19,7 @@ struct Vpl {
     vec3 n{0};                  ///< shading normal of the lit side
     vec3 wo{0};                 ///< where the light came from, unit
     Bsdf bsdf;
+    std::uint32_t light = 0;  ///< where the path began, where lights are tracked
 };
 
 /// The n x n sets of one pass, one after the other.
