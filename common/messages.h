@@ -32,7 +32,7 @@
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 3;
+inline constexpr std::uint32_t protocol_version = 4;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {
@@ -183,6 +183,7 @@ struct View {
     Channel shown = Channel::radiance;  ///< radiance: the picture
     double error_limit = 0;             ///< settled at this error estimate; 0: none
     std::uint64_t stamp = 0;            ///< the viewer's own, echoed in ViewPicture
+    std::uint32_t jpeg_quality = 0;     ///< 1 to 100; 0: as the server finds the link to be
 
     bool operator==(const View&) const = default;
 };

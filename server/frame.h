@@ -24,6 +24,7 @@ struct RunBuffer {
     std::uint32_t passes = 0;
     std::uint32_t tiles_missing = 0;
     std::vector<bool> tile_here;
+    std::vector<float> owners;  ///< by tile: number of the worker
     std::vector<float> data;
 };
 
@@ -54,8 +55,8 @@ public:
     /// The mean of the passes folded so far, with the detail that the filter should not have taken;
     /// black when there are none.
     Image picture() const;
-    /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth
-    /// and surface as they are in the first pass.
+    /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth,
+    /// surface and path length as they are in the first pass, and owners those of the last run.
     Image channel(Channel c) const;
 
 private:
@@ -65,6 +66,8 @@ private:
     void make_means();
     std::vector<std::span<std::byte>> parts();
     double row_error(int y) const;
+    void fold_owners(const RunBuffer& run, int y0, int y1);
+    Image error() const;
 
     FrameSpec spec_;
     std::uint32_t runs_ = 0;
@@ -94,7 +97,8 @@ public:
 
     /// Whether the result is one of this frame's tasks with the right amount of data.
     bool fits(const TileResult& result) const;
-    Arrival add(const TileResult& result);
+    /// `owner`: number of the worker whose it is.
+    Arrival add(const TileResult& result, std::uint64_t owner = 0);
 
     /// The next run in order once it is complete; to be folded, then handed back to run_folded.
     /// One at a time: nothing while a run is out.

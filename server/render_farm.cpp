@@ -180,7 +180,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
                        duration_of(result.seconds), now);
     worker.busy_seconds += result.seconds;
     if (answer == Answer::first) {
-        CHECK(job.assembler.add(result) == Arrival::stored);
+        CHECK(job.assembler.add(result, worker.id()) == Arrival::stored);
         ++worker.tiles;
         worker.rays += result.rays;
         job.rays += result.rays;
