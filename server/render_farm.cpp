@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "server/frame_trace.h"
 
@@ -22,10 +23,6 @@ constexpr auto report_interval = std::chrono::milliseconds(100);
 constexpr std::uint32_t least_runs_for_error = 4;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
-
-Clock::duration duration_of(double seconds) {
-    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
 
 double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
@@ -177,7 +174,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileResult& result) {
         job.trace->add(worker.name(), worker.threads(),
                        fmt::format("tile {}, pass {}{}", result.task.tile, result.task.first_pass,
                                    answer == Answer::first ? "" : ", not needed"),
-                       duration_of(result.seconds), now);
+                       from_seconds(result.seconds), now);
     worker.busy_seconds += result.seconds;
     if (answer == Answer::first) {
         CHECK(job.assembler.add(result, worker.id()) == Arrival::stored);
