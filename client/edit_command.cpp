@@ -15,6 +15,7 @@
 #include "client/render_client.h"
 #include "common/animate.h"
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/scene_io.h"
 
 namespace tessera {
@@ -181,10 +182,6 @@ void play(Editor& editor, const EditOptions& options) {
 
 // ---- record, replay -----------------------------------------------------------------------------
 
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
-
 /// What anybody changes, until interrupted or the time is up.
 void record(const EditOptions& options) {
     Editor editor(options);
@@ -262,8 +259,7 @@ void replay(const EditOptions& options) {
     const auto start = Clock::now();
     std::size_t edits = 0;
     for (const TimedEdit& step : steps) {
-        const auto due = start + std::chrono::duration_cast<Clock::duration>(
-                                     std::chrono::duration<double>(step.seconds / options.speed));
+        const auto due = start + from_seconds(step.seconds / options.speed);
         do {
             editor.client().poll(std::chrono::milliseconds(Clock::now() < due ? 2 : 0));
             onlooker.take();
