@@ -63,7 +63,7 @@ private:
     Interrupt& interrupt_;
     std::vector<std::unique_ptr<FaultProxy>>
         proxies_;  ///< one for each real worker, where asked for
-    LocalCluster processes_;
+    std::optional<LocalCluster> processes_;
     std::vector<pid_t> real_workers_;
     std::optional<SyntheticWorkers> synthetic_;
     RenderClientConfig client_;
@@ -72,22 +72,29 @@ private:
 };
 
 Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrupt& interrupt)
-    : config_(config),
-      bundle_(bundle),
-      interrupt_(interrupt),
-      processes_({.workers = config.synthetic ? 0 : config.workers,
-                  .threads = config.threads,
-                  .log_level = "error",
-                  .route = [this](int, const std::string& server) { return route(server); },
-                  .keys = config.keys,
-                  .programs = {}}),
-      real_workers_(processes_.workers()) {
-    client_ = {.address = config.link ? route(processes_.address()) : processes_.address(),
-               .credentials = processes_.credentials(),
-               .tick = [this] { interrupt_.check(); }};
-    if (config.synthetic)
+    : config_(config), bundle_(bundle), interrupt_(interrupt) {
+    client_.tick = [this] { interrupt_.check(); };
+    Credentials worker_credentials;
+    if (config.server.empty()) {
+        processes_.emplace(LocalClusterConfig{
+            .workers = config.synthetic ? 0 : config.workers,
+            .threads = config.threads,
+            .log_level = "error",
+            .route = [this](int, const std::string& server) { return route(server); },
+            .keys = config.keys,
+            .programs = {}});
+        real_workers_ = processes_->workers();
+        client_.address = config.link ? route(processes_->address()) : processes_->address();
+        client_.credentials = processes_->credentials();
+        worker_credentials = processes_->worker_credentials();
+    } else {
+        client_.address = config.server;
+        client_.credentials = load_credentials(config.keys.empty() ? "" : config.keys / "editor");
+        worker_credentials = load_credentials(config.keys.empty() ? "" : config.keys / "worker");
+    }
+    if (config.synthetic && config.workers > 0)
         synthetic_.emplace(SyntheticConfig{.server = parse_address(client_.address),
-                                           .credentials = processes_.worker_credentials(),
+                                           .credentials = worker_credentials,
                                            .workers = config.workers,
                                            .threads = std::uint32_t(config.threads),
                                            .tile_seconds = config.tile_seconds,
@@ -99,7 +106,8 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
         request.format = PictureFormat::srgb8;
         script_->views.push_back(request);
     }
-    render_expected();
+    script_->scenes = config.scenes.empty() ? std::vector{bundle.scene} : config.scenes;
+    if (config.viewers > 0) render_expected();
 }
 
 /// The address by which to reach the server over a link of its own.
@@ -114,7 +122,6 @@ std::string Load::route(const std::string& server) {
 /// Renders every view undisturbed, once all workers take part.
 void Load::render_expected() {
     RenderClient client(client_);
-    client.upload_scene(config_.spec.scene, bundle_);
     const auto joined = [&] {
         interrupt_.check();
         return client.status().workers.size() >= std::size_t(config_.workers);
@@ -123,8 +130,12 @@ void Load::render_expected() {
     }
     for (int round = 0; round < warm_up_rounds; ++round) {
         script_->expected.clear();
-        for (const FrameRequest& view : script_->views)
-            script_->expected.push_back(client.render(view, [](const FrameProgress&) {}).srgb8);
+        for (std::size_t i = 0; i < script_->views.size(); ++i) {
+            if (i < script_->scenes.size())
+                client.upload_scene(config_.spec.scene, {script_->scenes[i], bundle_.blobs});
+            script_->expected.push_back(
+                client.render(script_->views[i], [](const FrameProgress&) {}).srgb8);
+        }
     }
 }
 
@@ -156,7 +167,8 @@ ClusterBenchRow Load::measure() {
     std::vector<int> victims;
     std::vector<Clock::time_point> fault_times;
     const SyntheticTraffic traffic_before = synthetic_ ? synthetic_->traffic() : SyntheticTraffic{};
-    const double cpu_before = cpu_seconds(processes_.server());
+    const auto server_cpu = [&] { return processes_ ? cpu_seconds(processes_->server()) : 0; };
+    const double cpu_before = server_cpu();
     const auto start = Clock::now();
     ProgressBar bar;
     const auto elapsed = [&] { return seconds_between(start, Clock::now()); };
@@ -180,7 +192,7 @@ ClusterBenchRow Load::measure() {
     if (failure) std::rethrow_exception(failure);
 
     // Sum up.
-    const double cpu_used = cpu_seconds(processes_.server()) - cpu_before;
+    const double cpu_used = server_cpu() - cpu_before;
     const std::vector<LoadFrame> frames = all_frames();
     for (const LoadFrame& frame : frames)
         row.seconds = std::max(row.seconds, seconds_between(start, frame.done));
@@ -252,9 +264,10 @@ void Load::summarise(ClusterBenchRow& row, const std::vector<LoadFrame>& frames)
         shares.push_back(double(viewer->frames().size() * viewers_.size()) /
                          std::max(1.0, double(frames.size())));
     }
-    const auto [least, most] = std::ranges::minmax(shares);
-    row.least_share = least;
-    row.most_share = most;
+    if (!shares.empty()) {
+        row.least_share = std::ranges::min(shares);
+        row.most_share = std::ranges::max(shares);
+    }
     row.bytes_to_viewer = double(received) / std::max(1.0, double(frames.size()));
     const std::uint32_t per_task = passes_per_task(config_.spec.settings);
     row.bytes_from_workers = double(config_.spec.size.pixels()) * sizeof(float) *

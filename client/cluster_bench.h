@@ -31,6 +31,8 @@ struct ClusterBenchConfig {
     std::optional<LinkConfig> link;  ///< between the server and everybody else; none: loopback's
     FrameSpec spec;                  ///< scene, size and settings
     std::vector<Camera> path;        ///< views in turn
+    std::vector<Scene> scenes;       ///< of each; empty: the bundle's in all
+    std::string server;              ///< to be loaded; empty: one that is started here
 };
 
 struct Percentiles {
@@ -64,7 +66,9 @@ struct ClusterBenchRow {
     bool interrupted = false;  ///< by the user; the rest is about the time up to then
 };
 
-/// Starts a server and workers on this machine and loads them. Throws UserError.
+/// Starts a server and workers on this machine and loads them. A server that is there already is
+/// loaded with synthetic workers, viewers or both; nobody knows its CPU time then. `bundle` has the
+/// blobs of all scenes. Throws UserError.
 ClusterBenchRow bench_cluster(const ClusterBenchConfig& config, const SceneBundle& bundle,
                               Interrupt& interrupt);
 

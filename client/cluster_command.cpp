@@ -11,12 +11,15 @@
 #include "client/camera_options.h"
 #include "client/cluster_bench.h"
 #include "client/commands.h"
+#include "client/edit_json.h"
 #include "client/plot.h"
 #include "client/progress_bar.h"
 #include "client/restart_bench.h"
+#include "common/animate.h"
 #include "common/check.h"
 #include "common/contained_load.h"
 #include "common/scene_bounds.h"
+#include "common/scene_io.h"
 
 namespace tessera {
 namespace {
@@ -33,6 +36,9 @@ struct ClusterOptions {
     std::optional<Integrator> integrator;
     std::optional<std::uint32_t> passes;
     int views = 4;
+    std::string replay;
+    double animate = 0;     ///< frames per second of the motion; 0: nothing moves
+    float shape_error = 0;  ///< as edits_at() takes it
     std::string json, csv, svg;
     bool simulate = false;
     int server_kills = 0;
@@ -184,7 +190,40 @@ LinkConfig link_of(const ClusterOptions& options) {
     return link;
 }
 
-ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& bundle) {
+/// The scene's own motion, a step further in each view.
+void animate(const ClusterOptions& options, SceneBundle& bundle, ClusterBenchConfig& config) {
+    if (bundle.motion.empty())
+        throw UserError(fmt::format("{}: nothing in it moves by itself", options.scene));
+    for (std::size_t i = 0; i < config.path.size(); ++i) {
+        const MotionEdits edits =
+            edits_at(bundle.scene, bundle.motion, double(i) / options.animate, options.shape_error);
+        config.scenes.push_back(apply_edits(bundle.scene, edits.operations).scene);
+        bundle.blobs.merge(edits.blobs);
+    }
+}
+
+/// Views of a recording and the scene at the time of each, evenly spread.
+void replay(const ClusterOptions& options, const SceneBundle& bundle, ClusterBenchConfig& config) {
+    const Camera begin = config.path.front();
+    std::vector<std::pair<Camera, Scene>> steps;
+    Scene scene = bundle.scene;
+    make_names_unique(scene);
+    Camera camera = begin;
+    for (const TimedEdit& step : load_timed_edits(options.replay, scene)) {
+        scene = apply_edits(std::move(scene), step.operations).scene;
+        camera = step.view.value_or(camera);
+        steps.emplace_back(camera, scene);
+    }
+    if (steps.empty()) throw UserError(fmt::format("{}: nothing in it", options.replay));
+    config.path.clear();
+    const std::size_t views = std::min(steps.size(), std::size_t(options.views));
+    for (std::size_t i = 0; i < views; ++i) {
+        config.path.push_back(steps[i * steps.size() / views].first);
+        config.scenes.push_back(steps[i * steps.size() / views].second);
+    }
+}
+
+ClusterBenchConfig config_of(const ClusterOptions& options, SceneBundle& bundle) {
     ClusterBenchConfig config = options.config;
     config.tile_seconds = 1e-3 * options.tile_ms;
     const LinkConfig link = link_of(options);
@@ -198,12 +237,16 @@ ClusterBenchConfig config_of(const ClusterOptions& options, const SceneBundle& b
     settings.passes = options.passes.value_or(1);
     config.path =
         walk(chosen_camera(options.camera, bundle, [](const std::string&) {}), options.views);
+    if (options.animate > 0) animate(options, bundle, config);
+    if (!options.replay.empty()) replay(options, bundle, config);
     return config;
 }
 
 void run(const ClusterOptions& options) {
     Interrupt interrupt;
-    const SceneBundle bundle = load_contained(options.scene).bundle;
+    // A file's motion stays with the process that reads it.
+    SceneBundle bundle = options.animate > 0 ? load_scene(options.scene).bundle
+                                             : load_contained(options.scene).bundle;
     ClusterBenchConfig config = config_of(options, bundle);
     print_header(options, config.spec);
     std::vector<ClusterBenchRow> rows;
@@ -317,12 +360,17 @@ void add_cluster_command(CLI::App* bench) {
     command->add_option("SCENE", o.scene, "file or generated scene")->capture_default_str();
     command->add_option("--workers", o.workers, "numbers of workers to measure, 1,2,4...")
         ->delimiter(',')
-        ->check(CLI::Range(1, 4096));
+        ->check(CLI::Range(0, 4096));
     command->add_option("--threads", o.config.threads, "threads of each worker")
         ->check(CLI::Range(1, 1024))
         ->capture_default_str();
-    command->add_flag("--synthetic", o.config.synthetic,
-                      "workers that answer at once with made-up pixels");
+    auto* synthetic = command->add_flag("--synthetic", o.config.synthetic,
+                                        "workers that answer at once with made-up pixels");
+    command
+        ->add_option("--server", o.config.server,
+                     "HOST:PORT of a server to load, with --viewers 0 by workers alone, with "
+                     "--workers 0 by viewers alone")
+        ->needs(synthetic);
     command->add_option("--tile-ms", o.tile_ms, "synthetic: mean time of a tile")
         ->check(CLI::NonNegativeNumber);
     command
@@ -332,7 +380,7 @@ void add_cluster_command(CLI::App* bench) {
         ->capture_default_str();
     command->add_option("--viewers", o.viewers, "numbers of viewers to measure, 1,2,4...")
         ->delimiter(',')
-        ->check(CLI::Range(1, 512));
+        ->check(CLI::Range(0, 512));
     command->add_option("--in-flight", o.config.in_flight, "frames a viewer asks for ahead")
         ->check(CLI::Range(1, 16))
         ->capture_default_str();
@@ -368,7 +416,21 @@ void add_cluster_command(CLI::App* bench) {
             {"igi", Integrator::igi}, {"path", Integrator::path}}));
     command->add_option("--passes", o.passes, "passes of each frame (default 1)")
         ->check(CLI::Range(1, 65536));
-    command->add_option("--views", o.views, "cameras on the path")
+    auto* replays = command->add_option(
+        "--replay", o.replay,
+        "what viewers look at and change: a recording of `tessera record` or `tessera view`");
+    command
+        ->add_option("--animate", o.animate,
+                     "what moves in the scene moves, from view to view by a frame of so many per "
+                     "second")
+        ->check(CLI::PositiveNumber)
+        ->excludes(replays);
+    command
+        ->add_option("--shape-error", o.shape_error,
+                     "vertices that move may be off by so much, in metres of their object, and "
+                     "travel in fewer bytes")
+        ->check(CLI::PositiveNumber);
+    command->add_option("--views", o.views, "cameras on the path, or so many of a recording's")
         ->check(CLI::Range(1, 64))
         ->capture_default_str();
     auto* kills =

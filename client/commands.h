@@ -13,6 +13,8 @@ void add_status_command(CLI::App& app);
 void add_compare_command(CLI::App& app);
 void add_scene_command(CLI::App& app);
 void add_edit_command(CLI::App& app);
+/// `record` and `replay`.
+void add_record_commands(CLI::App& app);
 void add_view_command(CLI::App& app);
 void add_bench_command(CLI::App& app);
 /// To the command `bench`.

@@ -1,4 +1,5 @@
-// tessera edit: changes an open scene of a server from a script, or lists what can be changed.
+// tessera edit, record, replay: changes an open scene of a server from a script, or lists what can
+// be changed; writes down what others change, and does it again.
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -10,9 +11,11 @@
 #include "client/commands.h"
 #include "client/edit_json.h"
 #include "client/interrupt.h"
+#include "client/recording.h"
 #include "client/render_client.h"
 #include "common/animate.h"
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/scene_io.h"
 
 namespace tessera {
@@ -28,6 +31,10 @@ struct EditOptions {
     std::string name, kind, file, object;
     std::vector<float> vector;
     std::vector<std::string> assignments;
+    float shape_error = 0;
+    double seconds = 0;
+    double speed = 1;
+    std::vector<int> size{640, 480};
 };
 
 /// A connection and the scene to edit: the one named, else the only one.
@@ -56,6 +63,8 @@ public:
     }
 
     void wait_until(Clock::time_point time) { client_.wait_until(time); }
+    RenderClient& client() { return client_; }
+    const std::string& scene_name() const { return scene_; }
 
 private:
     Interrupt interrupt_;
@@ -138,16 +147,27 @@ void create(Editor& editor, const EditOptions& options) {
 }
 
 /// The motion of a scene file, once, in its own time: as many steps as the server takes.
-void play_motion(Editor& editor, const Motion& motion) {
+void play_motion(Editor& editor, const Motion& motion, float shape_error) {
     constexpr std::chrono::milliseconds step{40};
     const auto start = Clock::now();
+    std::size_t most_bytes = 0;
+    float most_error = 0;
     for (auto now = start;; now = std::max(Clock::now(), now + step)) {
         editor.wait_until(now);
         const double seconds = std::chrono::duration<double>(now - start).count();
-        const MotionEdits edits = edits_at(editor.scene(), motion, seconds);
+        const MotionEdits edits = edits_at(editor.scene(), motion, seconds, shape_error);
         editor.apply(edits.operations, edits.blobs);
-        if (seconds >= motion.duration()) return;
+        for (const EditOperation& operation : edits.operations)
+            if (const auto* shaped = std::get_if<SetShape>(&operation)) {
+                const auto blob = edits.blobs.find(shaped->shape);
+                most_bytes = std::max(most_bytes, blob->size());
+                most_error = std::max(most_error, tessera::shape_error(*blob));
+            }
+        if (seconds >= motion.duration()) break;
     }
+    if (most_bytes > 0)
+        fmt::print(stderr, "tessera: shapes of {:.1f} kB each, off by at most {:g} m\n",
+                   1e-3 * double(most_bytes), most_error);
 }
 
 void play(Editor& editor, const EditOptions& options) {
@@ -158,7 +178,7 @@ void play(Editor& editor, const EditOptions& options) {
         const LoadedScene loaded = load_scene(file);
         if (loaded.bundle.motion.empty())
             throw UserError(fmt::format("{}: nothing in it moves by itself", file));
-        return play_motion(editor, loaded.bundle.motion);
+        return play_motion(editor, loaded.bundle.motion, options.shape_error);
     }
     const std::vector<TimedEdit> edits = load_timed_edits(file, editor.scene());
     const auto start = Clock::now();
@@ -169,14 +189,137 @@ void play(Editor& editor, const EditOptions& options) {
     }
 }
 
+// ---- record, replay -----------------------------------------------------------------------------
+
+/// What anybody changes, until interrupted or the time is up.
+void record(const EditOptions& options) {
+    Editor editor(options);
+    Recorder recorder(editor.scene());
+    const auto start = Clock::now();
+    std::uint64_t seen = editor.client().scene().version;
+    fmt::print(stderr, "tessera: records changes of {}; Ctrl-C ends it\n", editor.scene_name());
+    try {
+        while (options.seconds == 0 || seconds_since(start) < options.seconds) {
+            editor.client().poll(std::chrono::milliseconds(20));
+            if (std::exchange(seen, editor.client().scene().version) !=
+                editor.client().scene().version)
+                recorder.see(seconds_since(start), editor.scene());
+        }
+    } catch (const Interrupted&) {
+        // What there is, is what was wanted.
+    }
+    recorder.save(options.file);
+    fmt::print(stderr, "tessera: {} steps\n", recorder.steps().size());
+    if (recorder.shapes_left_out() > 0)
+        fmt::print(stderr,
+                   "tessera: {} changes of vertices are not in the file: `tessera edit play` plays "
+                   "them from the scene's own\n",
+                   recorder.shapes_left_out());
+}
+
+/// Looks where a recording looks, and measures when pictures come.
+class Onlooker {
+public:
+    Onlooker(const EditOptions& options, Editor& editor) : client_(editor.client()) {
+        view_.request = 1;
+        view_.spec.scene = editor.scene_name();
+        view_.spec.size = {options.size[0], options.size[1]};
+    }
+
+    void look(const Camera& camera) {
+        view_.spec.camera = camera;
+        ++view_.stamp;
+        asked_[view_.stamp] = Clock::now();
+        client_.show(view_);
+    }
+    void take() {
+        const std::optional<ShownPicture> picture = client_.take_picture();
+        if (!picture) return;
+        ++pictures_;
+        const auto asked = asked_.find(picture->about.stamp);
+        if (asked == asked_.end()) return;
+        latencies_.push_back(1e3 * seconds_since(asked->second));
+        asked_.erase(asked_.begin(), std::next(asked));
+    }
+    bool waits() const { return !asked_.empty(); }
+
+    void print(std::size_t edits, double seconds) {
+        std::sort(latencies_.begin(), latencies_.end());
+        fmt::print("{} edits, {} views, {} pictures in {:.1f} s", edits, view_.stamp, pictures_,
+                   seconds);
+        if (!latencies_.empty())
+            fmt::print("; from a view to its first picture {:.0f} ms (median), {:.0f} ms at most",
+                       latencies_[latencies_.size() / 2], latencies_.back());
+        fmt::print("\n");
+    }
+
+private:
+    RenderClient& client_;
+    View view_;
+    std::map<std::uint64_t, Clock::time_point> asked_;  ///< views without a picture
+    std::vector<double> latencies_;                     ///< milliseconds
+    std::size_t pictures_ = 0;
+};
+
+void replay(const EditOptions& options) {
+    Editor editor(options);
+    Onlooker onlooker(options, editor);
+    const std::vector<TimedEdit> steps = load_timed_edits(options.file, editor.scene());
+    const auto start = Clock::now();
+    std::size_t edits = 0;
+    for (const TimedEdit& step : steps) {
+        const auto due = start + from_seconds(step.seconds / options.speed);
+        do {
+            editor.client().poll(std::chrono::milliseconds(Clock::now() < due ? 2 : 0));
+            onlooker.take();
+        } while (Clock::now() < due);
+        edits += step.operations.size();
+        if (!step.operations.empty()) editor.apply(step.operations);
+        if (step.view) onlooker.look(*step.view);
+    }
+    while (onlooker.waits()) {
+        editor.client().poll(std::chrono::milliseconds(20));
+        onlooker.take();
+    }
+    onlooker.print(edits, seconds_since(start));
+}
+
+/// Of commands that work on an open scene.
+void add_scene_options(CLI::App* command, EditOptions& options) {
+    command->add_option("--server", options.server, "HOST:PORT of the server")->required();
+    add_keys_option(command, options.keys);
+    command->add_option("--scene", options.scene, "which of its scenes (default: the only one)");
+}
+
 }  // namespace
+
+void add_record_commands(CLI::App& app) {
+    auto options = std::make_shared<EditOptions>();
+    CLI::App* recording = app.add_subcommand("record", "Write down what anybody changes");
+    recording->add_option("FILE", options->file, "as `edit play` reads it")->required();
+    add_scene_options(recording, *options);
+    recording->add_option("--seconds", options->seconds, "end after so long (default: Ctrl-C)")
+        ->check(CLI::PositiveNumber);
+    recording->callback([options] { record(*options); });
+
+    CLI::App* replaying = app.add_subcommand(
+        "replay", "Look and change as a recording did, and tell how fast pictures came");
+    replaying->add_option("FILE", options->file, "of `tessera record`, or of `tessera view` (R)")
+        ->required();
+    add_scene_options(replaying, *options);
+    replaying->add_option("--speed", options->speed, "how many times as fast")
+        ->check(CLI::Range(0.01, 1000.0));
+    replaying->add_option("--size", options->size, "WxH of the pictures")
+        ->delimiter('x')
+        ->expected(2)
+        ->check(CLI::Range(1, 16384));
+    replaying->callback([options] { replay(*options); });
+}
 
 void add_edit_command(CLI::App& app) {
     auto options = std::make_shared<EditOptions>();
     CLI::App* command = app.add_subcommand("edit", "Change a scene that a server holds");
-    command->add_option("--server", options->server, "HOST:PORT of the server")->required();
-    add_keys_option(command, options->keys);
-    command->add_option("--scene", options->scene, "which of its scenes (default: the only one)");
+    add_scene_options(command, *options);
     command->require_subcommand(1);
     command->fallthrough();
     const auto add = [&](const char* name, const char* help, auto work) {
@@ -220,12 +363,19 @@ void add_edit_command(CLI::App& app) {
     CLI::App* creating = add_name(add("create", "a new instance of an object", create));
     creating->add_option("OBJECT", options->object)->required();
     add_vector(creating, "where: x,y,z in metres");
-    add("play", "the timed edits of a JSON file, or what moves in a scene", play)
-        ->add_option(
-            "FILE", options->file,
-            "[{\"time\": seconds, \"edits\": [...]}, ...] in a .json file; or the scene that "
-            "the server holds, for its motion")
+    CLI::App* playing =
+        add("play", "the timed edits of a JSON file, or what moves in a scene", play);
+    playing->alias("animate");
+    playing
+        ->add_option("FILE", options->file,
+                     "[{\"time\": seconds, \"edits\": [...]}, ...] in a .json file; or the scene "
+                     "that the server holds, for its motion")
         ->required();
+    playing
+        ->add_option("--shape-error", options->shape_error,
+                     "vertices that move may be off by so much, in metres of their object, and "
+                     "travel in fewer bytes")
+        ->check(CLI::PositiveNumber);
 }
 
 }  // namespace tessera

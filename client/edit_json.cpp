@@ -164,16 +164,20 @@ EditOperation new_light_of(const std::string& name, const json& values) {
     return CreateLight{light};
 }
 
-EditOperation camera_of(const std::string& name, const json& values, const Scene& scene) {
-    const Camera* held = find(scene.cameras, name);
-    Camera camera = held ? *held : Camera{.name = name};
+/// What is not told stays as it is.
+Camera camera_of(const json& values, Camera camera) {
     Fields fields(values);
     fields.read("eye", camera.eye);
     fields.read("at", camera.at);
     fields.read("up", camera.up);
     fields.read("fov", camera.fov_y);
     fields.check_all_read();
-    return SetCamera{camera};
+    return camera;
+}
+
+EditOperation set_camera_of(const std::string& name, const json& values, const Scene& scene) {
+    const Camera* held = find(scene.cameras, name);
+    return SetCamera{camera_of(values, held ? *held : Camera{.name = name})};
 }
 
 EditOperation set_of(Fields& fields, const Scene& scene) {
@@ -181,7 +185,7 @@ EditOperation set_of(Fields& fields, const Scene& scene) {
     const json& values = fields.at("to");
     if (kind == "material") return material_of(name, values);
     if (kind == "light") return light_of(name, values);
-    if (kind == "camera") return camera_of(name, values, scene);
+    if (kind == "camera") return set_camera_of(name, values, scene);
     complain("cannot set a `{}`: material, light or camera", kind);
 }
 
@@ -203,9 +207,13 @@ EditOperation transform_of(Fields& fields) {
 }
 
 EditOperation create_of(Fields& fields) {
+    CreateInstance edit{.instance = fields.text("create"), .object = fields.text("object")};
+    if (fields.has("to") && fields.at("to").size() == 16) {
+        fields.read("to", edit.world_from_object);
+        return edit;
+    }
     vec3 to(0);
     fields.read("to", to);
-    CreateInstance edit{.instance = fields.text("create"), .object = fields.text("object")};
     edit.world_from_object[3] = vec4(to, 1);
     return edit;
 }
@@ -237,6 +245,11 @@ TimedEdit timed_edit_of(const json& entry, Scene& scene) {
     std::optional<float> seconds;
     fields.read("time", seconds);
     timed.seconds = seconds.value_or(0);
+    if (fields.has("view")) timed.view = camera_of(fields.at("view"), {});
+    if (!fields.has("edits") && timed.view) {
+        fields.check_all_read();
+        return timed;
+    }
     for (const json& edit : fields.at("edits")) {
         timed.operations.push_back(operation_of_json(edit, scene));
         EditedScene edited = apply_edits(std::move(scene), {timed.operations.back()});
@@ -331,6 +344,79 @@ json json_of(const Scene& scene) {
                                  {"inner_angle", l.inner_angle},
                                  {"outer_angle", l.outer_angle}});
     for (const Camera& c : scene.cameras) out["cameras"].push_back(json_of(c));
+    return out;
+}
+
+namespace {
+
+std::vector<float> numbers_of(const mat4& m) { return {&m[0][0], &m[0][0] + 16}; }
+
+template <class T>
+void set(json& fields, const char* name, const std::optional<T>& value) {
+    if (!value) return;
+    if constexpr (std::is_same_v<T, vec3>)
+        fields[name] = json_of(*value);
+    else
+        fields[name] = *value;
+}
+
+json fields_of(const Camera& c) {
+    json out = json_of(c);
+    out.erase("name");
+    return out;
+}
+
+json fields_of(const Light& l) {
+    return {{"kind", light_kind_name(l.kind)},   {"position", json_of(l.position)},
+            {"direction", json_of(l.direction)}, {"intensity", json_of(l.intensity)},
+            {"inner_angle", l.inner_angle},      {"outer_angle", l.outer_angle}};
+}
+
+json write(const SetTransform& e) {
+    return {{"transform", e.instance}, {"to", numbers_of(e.world_from_object)}};
+}
+json write(const CreateInstance& e) {
+    return {{"create", e.instance}, {"object", e.object}, {"to", numbers_of(e.world_from_object)}};
+}
+json write(const DeleteInstance& e) { return {{"delete", e.instance}}; }
+json write(const SetMaterial& e) {
+    json to = json::object();
+    set(to, "base_color", e.base_color);
+    set(to, "metallic", e.metallic);
+    set(to, "roughness", e.roughness);
+    set(to, "emission", e.emission);
+    return {{"set", "material"}, {"name", e.material}, {"to", to}};
+}
+json write(const SetLight& e) {
+    json to = json::object();
+    set(to, "position", e.position);
+    set(to, "direction", e.direction);
+    set(to, "intensity", e.intensity);
+    set(to, "inner_angle", e.inner_angle);
+    set(to, "outer_angle", e.outer_angle);
+    return {{"set", "light"}, {"name", e.light}, {"to", to}};
+}
+json write(const CreateLight& e) {
+    return {{"create light", e.light.name}, {"to", fields_of(e.light)}};
+}
+json write(const DeleteLight& e) { return {{"delete light", e.light}}; }
+json write(const SetCamera& e) {
+    return {{"set", "camera"}, {"name", e.camera.name}, {"to", fields_of(e.camera)}};
+}
+json write(const SetShape& e) { complain("the vertices of '{}' cannot be written", e.object); }
+
+}  // namespace
+
+json json_of(const EditOperation& operation) {
+    return std::visit([](const auto& edit) { return write(edit); }, operation);
+}
+
+json json_of(const TimedEdit& edit) {
+    json out = {{"time", edit.seconds}};
+    if (edit.view) out["view"] = fields_of(*edit.view);
+    for (const EditOperation& operation : edit.operations)
+        out["edits"].push_back(json_of(operation));
+    if (!edit.view && edit.operations.empty()) out["edits"] = json::array();
     return out;
 }
 

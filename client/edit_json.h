@@ -8,9 +8,11 @@
 //       {"transform": "book", "to": [16 numbers, column by column]},
 //       {"create": "cup 2", "object": "red cup", "to": [1, 0.7, 2]},
 //       {"create light": "spot", "to": {"kind": "spot", "position": [0, 3, 0]}},
-//       {"delete": "chair"}, {"delete light": "sun"}]}, ...]
+//       {"delete": "chair"}, {"delete light": "sun"}]},
+//    {"time": 0.7, "view": {"eye": [0, 1, 3], "at": [0, 1, 0], "up": [0, 1, 0], "fov": 45}}, ...]
 //
-// with times in seconds from the start, in order.
+// with times in seconds from the start, in order. What "create" has in "to" may be 16 numbers, too.
+// A "view" is where somebody looks from then on; `tessera record` and the viewer write such files.
 #pragma once
 
 #include <nlohmann/json_fwd.hpp>
@@ -30,6 +32,7 @@ nlohmann::json value_of_text(const std::string& text);
 struct TimedEdit {
     double seconds = 0;
     std::vector<EditOperation> operations;
+    std::optional<Camera> view{};  ///< where somebody looks from now on
 };
 
 /// Edits of `scene`, and then of what has become of it. Throws UserError naming the file and the
@@ -41,5 +44,8 @@ nlohmann::json json_of(const vec3& v);
 nlohmann::json json_of(const Material& material);
 nlohmann::json json_of(const Camera& camera);
 nlohmann::json json_of(const Scene& scene);
+/// As they are read. SetShape, which names a blob, cannot be written.
+nlohmann::json json_of(const EditOperation& operation);
+nlohmann::json json_of(const TimedEdit& edit);
 
 }  // namespace tessera

@@ -44,17 +44,16 @@ asio::awaitable<void> LoadViewer::run(const SceneBundle& bundle) {
                              .name = "load",
                              .threads = 0},
                        {}});
-    const SceneVersion uploaded{.version = 1, .scene = bundle.scene};
-    connection_->send({SceneUpdate{.scene = script_->views.front().spec.scene,
-                                   .delta = diff(SceneVersion{}, uploaded)},
-                       {}});
+    due_ = in_flight_;
+    ask_what_is_due();
     for (;;) {
         const Message message = co_await receive();
         if (const auto* request = message.get<BlobRequest>())
             co_await send_blobs(connection_, bundle.blobs, request->blobs);
-        else if (message.get<SceneReady>())
-            for (unsigned i = 0; i < in_flight_; ++i) ask();
-        else if (const auto* chunk = message.get<PictureChunk>())
+        else if (const auto* ready = message.get<SceneReady>()) {
+            scene_ready_ = ready->version == held_.version;
+            ask_what_is_due();
+        } else if (const auto* chunk = message.get<PictureChunk>())
             place(*chunk, message.payload.bytes);
         else if (const auto* done = message.get<FrameDone>())
             finish(done->request);
@@ -64,6 +63,24 @@ asio::awaitable<void> LoadViewer::run(const SceneBundle& bundle) {
 void LoadViewer::stop() {
     in_flight_ = 0;
     if (connection_) connection_->close();
+}
+
+void LoadViewer::bring(const Scene& scene) {
+    const SceneVersion next{.version = held_.version + 1, .scene = scene};
+    connection_->send(
+        {SceneUpdate{.scene = script_->views.front().spec.scene, .delta = diff(held_, next)}, {}});
+    held_ = next;
+    scene_ready_ = false;
+}
+
+/// A frame is of the newest version that the server has made ready: the scene goes first.
+void LoadViewer::ask_what_is_due() {
+    for (; due_ > 0; --due_) {
+        const Scene& scene = script_->scenes[next_view_ % script_->scenes.size()];
+        if (held_.version == 0 || held_.scene != scene) bring(scene);
+        if (!scene_ready_) return;
+        ask();
+    }
 }
 
 void LoadViewer::ask() {
@@ -95,7 +112,9 @@ void LoadViewer::finish(std::uint64_t request) {
     pending.frame.wrong_pixels = different_pixels(pending.pixels, script_->expected[pending.view]);
     frames_.push_back(pending.frame);
     pending_.erase(found);
-    if (in_flight_ > 0) ask();
+    if (in_flight_ == 0) return;
+    ++due_;
+    ask_what_is_due();
 }
 
 }  // namespace tessera

@@ -24,6 +24,7 @@ struct LoadFrame {
 /// Views to ask for in turn, and the pictures that must come back.
 struct LoadScript {
     std::vector<FrameRequest> views;  ///< 8-bit pictures
+    std::vector<Scene> scenes;        ///< of each view
     std::vector<std::vector<std::uint8_t>> expected;
 };
 
@@ -55,6 +56,8 @@ private:
     };
 
     asio::awaitable<Message> receive();
+    void bring(const Scene& scene);
+    void ask_what_is_due();
     void ask();
     void place(const PictureChunk& chunk, std::span<const std::byte> bytes);
     void finish(std::uint64_t request);
@@ -65,6 +68,9 @@ private:
     unsigned in_flight_;
     std::shared_ptr<Connection> connection_;
     std::uint64_t last_request_ = 0;
+    SceneVersion held_;         ///< by the server, or soon
+    bool scene_ready_ = false;  ///< and ready there
+    unsigned due_ = 0;          ///< frames to ask for
     std::map<std::uint64_t, Pending> pending_;
     std::vector<LoadFrame> frames_;
 };

@@ -23,6 +23,7 @@ int main(int argc, char** argv) {
     add_scene_command(app);
     add_view_command(app);
     add_edit_command(app);
+    add_record_commands(app);
     add_bench_command(app);
     add_keys_command(app);
     start_log("tessera", "warning");

@@ -24,7 +24,10 @@ const std::map<std::string, Channel> channels = {{"picture", Channel::radiance},
                                                  {"irradiance", Channel::irradiance},
                                                  {"albedo", Channel::albedo},
                                                  {"normal", Channel::normal},
-                                                 {"depth", Channel::depth}};
+                                                 {"depth", Channel::depth},
+                                                 {"path length", Channel::path_length},
+                                                 {"error", Channel::error},
+                                                 {"tile owner", Channel::owner}};
 
 double number_of(const json& value, double most) {
     const double number = value.get<double>();
@@ -83,6 +86,11 @@ void read_view(const json& message, View& view) {
     next.shown = channel_of(message.at("channel"));
     next.stamp = count_of(message.at("stamp"));
     view = next;
+}
+
+double read_seconds(const json& message) {
+    constexpr double day = 86400;
+    return std::max(number_of(message, day), 0.0);
 }
 
 PagePick read_pick(const json& message) {

@@ -18,6 +18,9 @@ struct PageError : std::runtime_error {
 /// then is as it was.
 void read_view(const nlohmann::json& json, View& view);
 
+/// A time, 0 to a day. Throws as read_view does.
+double read_seconds(const nlohmann::json& json);
+
 struct PagePick {
     vec2 point{0};  ///< (0, 1): the middle of the upper edge
     std::uint32_t number = 0;

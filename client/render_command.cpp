@@ -18,6 +18,7 @@
 #include "common/animate.h"
 #include "common/check.h"
 #include "common/contained_load.h"
+#include "common/false_colour.h"
 #include "common/image_io.h"
 #include "common/message_codec.h"
 #include "common/scene_bounds.h"
@@ -42,6 +43,7 @@ struct RenderOptions {
     double error_limit = 0;
     ToneMap tone_map;
     std::vector<Channel> aov;
+    Channel shown = Channel::radiance;
     std::string server;
     std::string keys;
     LocalClusterConfig cluster;
@@ -50,11 +52,6 @@ struct RenderOptions {
     std::string stats;
     std::string animate;
 };
-
-const std::map<std::string, Channel> aov_names = {
-    {"albedo", Channel::albedo}, {"normal", Channel::normal},
-    {"depth", Channel::depth},   {"irradiance", Channel::irradiance},
-    {"direct", Channel::direct}, {"indirect", Channel::indirect}};
 
 /// Refinement goes on this long when only a limit of time or error is given.
 constexpr std::uint32_t passes_without_end = 1u << 20;
@@ -85,6 +82,8 @@ FrameRequest request_of(const RenderOptions& options, const std::string& scene,
     request.spec.camera = camera;
     request.spec.settings = settings_of(options);
     for (const Channel channel : options.aov) request.spec.extra = request.spec.extra.with(channel);
+    if (options.shown != Channel::radiance)
+        request.spec.extra = request.spec.extra.with(options.shown);
     request.format =
         keeps_linear(options.output) ? PictureFormat::linear_float : PictureFormat::srgb8;
     request.tone_map = options.tone_map;
@@ -100,14 +99,18 @@ std::string aov_file(const std::string& output, const std::string& name) {
 /// The picture last: where it is, the others are.
 void write_pictures(const RenderOptions& options, const FrameRequest& request,
                     const RenderedFrame& frame, const std::string& output) {
-    for (const auto& [name, channel] : aov_names)
-        if (request.spec.extra.has(channel))
+    for (const auto& [name, channel] : channel_names())
+        if (std::find(options.aov.begin(), options.aov.end(), channel) != options.aov.end())
             write_image(frame.channels.at(channel), aov_file(output, name));
+    const Channel shown = options.shown;
     write_atomically(output, [&](const std::string& file) {
         if (request.format == PictureFormat::srgb8)
-            write_srgb8(frame.srgb8, options.camera.size, file);
+            write_srgb8(shown == Channel::radiance
+                            ? frame.srgb8
+                            : to_rgb8(frame.channels.at(shown), shown, options.tone_map),
+                        options.camera.size, file);
         else
-            write_image(frame.channels.at(Channel::radiance), file);
+            write_image(frame.channels.at(shown), file);
     });
 }
 
@@ -361,9 +364,13 @@ void add_output_options(CLI::App* command, RenderOptions& o) {
     command
         ->add_option("--aov", o.aov,
                      "more channels, each to OUTPUT.CHANNEL.exr: albedo, normal, depth, "
-                     "irradiance, direct, indirect")
+                     "irradiance, direct, indirect, path-length, error, owner")
         ->delimiter(',')
-        ->transform(CLI::CheckedTransformer(aov_names));
+        ->transform(CLI::CheckedTransformer(channel_names()));
+    command
+        ->add_option("--channel", o.shown,
+                     "one of them instead of the picture, in false colours where it is numbers")
+        ->transform(CLI::CheckedTransformer(channel_names()));
     auto* animate =
         command->add_option("--animate", o.animate,
                             "FROM:TO:FPS in seconds: pictures of what moves in the scene, numbered "

@@ -6,7 +6,9 @@
 #include <cmath>
 #include <future>
 #include <map>
+#include <optional>
 #include <random>
+#include <set>
 
 #include "common/check.h"
 #include "common/log.h"
@@ -98,15 +100,35 @@ private:
         } else if (const auto* ping = message.get<Ping>()) {
             connection_->send({Pong{ping->stamp}, {}});
         } else if (const auto* update = message.get<SceneUpdate>()) {
-            connection_->send({BlobRequest{update->scene, {}}, {}});
-            connection_->send({SceneReady{.scene = update->scene,
-                                          .version = update->delta.next_version,
-                                          .modelled = {},
-                                          .left_out = {}},
-                               {}});
+            ask_for_blobs(*update);
+        } else if (const auto* chunk = message.get<BlobChunk>()) {
+            if (chunk->offset + message.payload.bytes.size() == chunk->total) --blobs_missing_;
+            tell_if_ready();
         } else if (const auto* refused = message.get<Refused>()) {
             throw UserError(refused->reason);
         }
+    }
+
+    /// All that the update brings anew: what is thrown away is asked for again when it comes back.
+    void ask_for_blobs(const SceneUpdate& update) {
+        std::set<BlobId> blobs;
+        for (const auto* table :
+             {&update.delta.meshes, &update.delta.textures, &update.delta.shapes})
+            for (const auto& [index, blob] : table->changed) blobs.insert(blob);
+        blobs_missing_ += blobs.size();
+        updated_ = {update.scene, update.delta.next_version};
+        connection_->send({BlobRequest{update.scene, {blobs.begin(), blobs.end()}}, {}});
+        tell_if_ready();
+    }
+
+    void tell_if_ready() {
+        if (blobs_missing_ > 0 || !updated_) return;
+        connection_->send({SceneReady{.scene = updated_->first,
+                                      .version = updated_->second,
+                                      .modelled = {},
+                                      .left_out = {}},
+                           {}});
+        updated_.reset();
     }
 
     void start() {
@@ -155,6 +177,8 @@ private:
     std::shared_ptr<Connection> connection_;
     std::map<std::uint64_t, FrameSpec> frames_;
     std::deque<TileTask> waiting_;
+    std::size_t blobs_missing_ = 0;
+    std::optional<std::pair<std::string, std::uint64_t>> updated_;  ///< scene that is not ready yet
     std::uint32_t idle_;
     TileResults answers_;            ///< not sent yet
     std::shared_ptr<Bytes> pixels_;  ///< of them

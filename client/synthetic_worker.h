@@ -1,6 +1,7 @@
-// Workers that render nothing: connections that answer every task with made-up pixels, at once or
-// after a drawn time. Thousands fit into one process, so that a server can be loaded beyond what
-// the machines at hand could render.
+// Workers that render nothing: connections that take scenes and their changes as workers do, but
+// keep nothing, and answer every task with made-up pixels, at once or after a drawn time. Thousands
+// fit into one process, so that a server can be loaded beyond what the machines at hand could
+// render.
 #pragma once
 
 #include <cstdint>

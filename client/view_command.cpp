@@ -15,6 +15,7 @@
 #include "client/local_cluster.h"
 #include "client/viewer.h"
 #include "common/check.h"
+#include "common/false_colour.h"
 #include "common/scene_bounds.h"
 #include "common/scene_io.h"
 
@@ -32,6 +33,9 @@ struct ViewOptions {
     std::uint32_t passes = 256;
     int pictures = 0;
     std::string screenshot;
+    std::string replay;
+    Channel shown = Channel::radiance;
+    float shape_error = 0;
 };
 
 // ---- What is remembered -------------------------------------------------------------------------
@@ -153,14 +157,19 @@ void run(const ViewOptions& options) {
     client.watch(scene);
     memory.window.title = fmt::format("{} - Tessera", scene);
     if (scripted) memory.window.size = options.camera.size;
-    Viewer viewer({.scene = scene,
-                   .camera = first_camera(options, memory, scene, client),
-                   .settings = {.passes = options.passes},
-                   .format = cluster ? PictureFormat::srgb8 : PictureFormat::automatic,
-                   .pictures = options.pictures,
-                   .screenshot = options.screenshot,
-                   .motion = std::move(motion)},
-                  client, memory);
+    Viewer viewer(
+        {.scene = scene,
+         .camera = first_camera(options, memory, scene, client),
+         .settings = {.passes = options.passes},
+         .format = cluster ? PictureFormat::srgb8 : PictureFormat::automatic,
+         .shown = options.shown,
+         .pictures = options.pictures,
+         .screenshot = options.screenshot,
+         .motion = std::move(motion),
+         .replay = options.replay.empty() ? std::vector<TimedEdit>()
+                                          : load_timed_edits(options.replay, client.scene().scene),
+         .shape_error = options.shape_error},
+        client, memory);
     viewer.run();
     remember(memory, file);
 }
@@ -199,6 +208,15 @@ void add_view_command(CLI::App& app) {
         ->add_option("--screenshot", options->screenshot,
                      "for scripts: picture file for the whole window at the end")
         ->needs(frames);
+    command->add_option("--channel", options->shown, "shown at first: as `render --channel`")
+        ->transform(CLI::CheckedTransformer(channel_names()));
+    command->add_option("--replay", options->replay,
+                        "a recording: looks and changes as it says, once");
+    command
+        ->add_option("--shape-error", options->shape_error,
+                     "vertices that move may be off by so much, in metres of their object, and "
+                     "travel in fewer bytes")
+        ->check(CLI::PositiveNumber);
     command->callback([options] { run(*options); });
 }
 

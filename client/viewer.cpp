@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "client/camera_control.h"
-#include "common/animate.h"
 #include "common/check.h"
 #include "common/image_io.h"
 
@@ -21,13 +20,17 @@ constexpr std::size_t plotted = 120;
 constexpr std::chrono::milliseconds draw_interval{30};
 constexpr std::chrono::milliseconds status_interval{1000};
 constexpr std::chrono::seconds notice_time{4};
-/// Motion waits no longer for a version of the scene: there is none, where nothing has changed.
-constexpr std::chrono::milliseconds motion_patience{1000};
 
 /// Where the ray meets the plane through `p`.
 std::optional<vec3> on_plane(const Ray& ray, const vec3& p, const vec3& normal) {
     const float t = dot(p - ray.org, normal) / dot(ray.dir, normal);
     return t > 0 && std::isfinite(t) ? std::optional(ray.org + t * ray.dir) : std::nullopt;
+}
+
+std::string dated_file(const char* extension) {
+    return fmt::format("tessera-{:%Y%m%d-%H%M%S}.{}",
+                       std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()),
+                       extension);
 }
 
 }  // namespace
@@ -43,9 +46,12 @@ Viewer::Viewer(const ViewerConfig& config, RenderClient& client, ViewerMemory& m
       memory_(memory),
       window_(memory.window),
       camera_(config.camera),
+      shown_(config.shown),
       flown_(Clock::now()),
-      duration_(config.motion.duration()),
-      played_(Clock::now()) {}
+      player_(config.motion, config.shape_error),
+      replaying_since_(Clock::now()) {
+    player_.play(true);
+}
 
 void Viewer::run() {
     auto drawn = Clock::now() - draw_interval;
@@ -53,6 +59,8 @@ void Viewer::run() {
         bool changed = window_.poll_events([this](const SDL_Event& event) { handle(event); });
         fly();
         play();
+        replay();
+        record();
         ask_for_pictures();
         client_.poll(std::chrono::milliseconds(changed ? 0 : 4));
         const int before = pictures_;
@@ -104,8 +112,7 @@ void Viewer::take_what_arrived() {
     if (auto picture = client_.take_picture()) show_picture(std::move(*picture));
     if (auto status = client_.take_status()) status_ = std::move(status);
     for (const std::string& complaint : client_.take_complaints()) {
-        notice_ = complaint;
-        notice_until_ = Clock::now() + notice_time;
+        tell(complaint);
     }
     if (Clock::now() - status_asked_ < status_interval) return;
     status_asked_ = Clock::now();
@@ -128,12 +135,48 @@ void Viewer::show_picture(ShownPicture picture) {
 
 void Viewer::save_picture() {
     if (!picture_) return;
-    const std::string file =
-        fmt::format("tessera-{:%Y%m%d-%H%M%S}.png",
-                    std::chrono::floor<std::chrono::seconds>(std::chrono::system_clock::now()));
+    const std::string file = dated_file("png");
     write_srgb8(picture_->srgb8, picture_->size, file);
-    notice_ = "saved " + file;
+    tell("saved " + file);
+}
+
+void Viewer::tell(const std::string& notice) {
+    notice_ = notice;
     notice_until_ = Clock::now() + notice_time;
+}
+
+// ---- Sessions -----------------------------------------------------------------------------------
+
+void Viewer::toggle_recording() {
+    if (!recorder_) {
+        recorder_.emplace(scene());
+        recording_since_ = Clock::now();
+        return tell("recording: R again ends it");
+    }
+    const std::string file = dated_file("json");
+    recorder_->save(file);
+    tell(fmt::format("saved {}: {} steps", file, recorder_->steps().size()));
+    recorder_.reset();
+}
+
+void Viewer::record() {
+    if (!recorder_) return;
+    const double seconds = std::chrono::duration<double>(Clock::now() - recording_since_).count();
+    if (recorder_->steps().empty() || recorded_version_ != client_.scene().version)
+        recorder_->see(seconds, scene());
+    recorded_version_ = client_.scene().version;
+    recorder_->see(seconds, camera_);
+}
+
+/// Does what is due of the recording that is being replayed.
+void Viewer::replay() {
+    const double seconds = std::chrono::duration<double>(Clock::now() - replaying_since_).count();
+    for (; replayed_ < config_.replay.size(); ++replayed_) {
+        const TimedEdit& step = config_.replay[replayed_];
+        if (step.seconds > seconds) return;
+        if (step.view) change_camera(*step.view);
+        if (!step.operations.empty()) client_.send_edit(config_.scene, step.operations);
+    }
 }
 
 void Viewer::end_if_asked_for() {
@@ -170,8 +213,11 @@ void Viewer::handle_key(SDL_Keycode key) {
         case SDLK_F12:
             save_picture();
             break;
+        case SDLK_r:
+            toggle_recording();
+            break;
         case SDLK_SPACE:
-            playing_ = !playing_;
+            player_.play(!player_.playing());
             break;
         case SDLK_HOME:
             change_camera(config_.camera);
@@ -244,21 +290,11 @@ void Viewer::fly() {
     change_camera(flown(camera_, seconds * speed * by));
 }
 
-/// Puts what moves where it is by now, once the last of it has been seen: no picture is skipped.
+/// Puts what moves where it is by now.
 void Viewer::play() {
-    const auto now = Clock::now();
-    const double passed = std::chrono::duration<double>(now - std::exchange(played_, now)).count();
-    if (duration_ <= 0) return;
-    if (playing_) seconds_ = std::fmod(seconds_ + passed, duration_);
-    if (seconds_ == shown_seconds_) return;
-    const bool seen = picture_ && picture_->about.version > moved_after_;
-    const bool coming = client_.scene().version > moved_after_ || now - moved_at_ < motion_patience;
-    if (!seen && coming) return;
-    const MotionEdits edits = edits_at(scene(), config_.motion, seconds_);
-    client_.send_edit(config_.scene, edits.operations, edits.blobs);
-    moved_after_ = client_.scene().version;
-    moved_at_ = now;
-    shown_seconds_ = seconds_;
+    const auto edits = player_.step(scene(), client_.scene().version,
+                                    picture_ ? picture_->about.version : 0, Clock::now());
+    if (edits) client_.send_edit(config_.scene, edits->operations, edits->blobs);
 }
 
 void Viewer::change_camera(const Camera& camera) { camera_ = camera; }

@@ -10,7 +10,9 @@
 #include <string>
 #include <vector>
 
+#include "client/motion_player.h"
 #include "client/pick.h"
+#include "client/recording.h"
 #include "client/render_client.h"
 #include "client/window.h"
 
@@ -32,9 +34,12 @@ struct ViewerConfig {
     Camera camera;
     RenderSettings settings;  ///< passes: the picture has settled after so many
     PictureFormat format = PictureFormat::automatic;
-    int pictures = 0;        ///< end after so many; 0: when the user says so
-    std::string screenshot;  ///< file for the whole window at the end; empty: none
-    Motion motion;           ///< of the scene, to be played
+    Channel shown = Channel::radiance;  ///< at first
+    int pictures = 0;                   ///< end after so many; 0: when the user says so
+    std::string screenshot;             ///< file for the whole window at the end; empty: none
+    Motion motion;                      ///< of the scene, to be played
+    std::vector<TimedEdit> replay{};    ///< looked at and changed as it says, once
+    float shape_error = 0;              ///< of vertices that move, as edits_at() takes it
 };
 
 class Viewer {
@@ -67,6 +72,10 @@ private:
     void take_what_arrived();
     void show_picture(ShownPicture picture);
     void save_picture();
+    void tell(const std::string& notice);
+    void record();
+    void toggle_recording();
+    void replay();
     void end_if_asked_for();
     vec2 picture_point(int x, int y) const;
     SDL_Rect picture_area() const;
@@ -90,6 +99,7 @@ private:
     void draw_workers();
     void draw_help();
     void draw_notice();
+    void draw_legend();
 
     ViewerConfig config_;
     RenderClient& client_;
@@ -121,12 +131,12 @@ private:
     vec3 grip_offset_{0};   ///< from there to its origin
     Clock::time_point flown_;
 
-    bool playing_ = true;
-    double duration_ = 0;  ///< of the motion, seconds; 0: nothing moves
-    double seconds_ = 0;   ///< where the motion is
-    double shown_seconds_ = -1;
-    std::uint64_t moved_after_ = 0;  ///< the scene's version when the last of it was sent
-    Clock::time_point moved_at_, played_;
+    MotionPlayer player_;
+
+    std::optional<Recorder> recorder_;  ///< while a session is recorded
+    std::uint64_t recorded_version_ = 0;
+    Clock::time_point recording_since_, replaying_since_;
+    std::size_t replayed_ = 0;  ///< steps of config_.replay
 };
 
 }  // namespace tessera

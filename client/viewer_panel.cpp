@@ -4,6 +4,7 @@
 
 #include "client/camera_control.h"
 #include "client/viewer.h"
+#include "common/false_colour.h"
 
 namespace tessera {
 namespace {
@@ -86,7 +87,12 @@ constexpr std::pair<Channel, const char*> channels[] = {{Channel::radiance, "Pic
                                                         {Channel::irradiance, "Irradiance"},
                                                         {Channel::albedo, "Albedo"},
                                                         {Channel::normal, "Normal"},
-                                                        {Channel::depth, "Depth"}};
+                                                        {Channel::depth, "Depth"},
+                                                        {Channel::path_length, "Path length"},
+                                                        {Channel::error, "Error"},
+                                                        {Channel::owner, "Tile owner"}};
+
+ImU32 colour(const Rgb8& rgb) { return IM_COL32(rgb[0], rgb[1], rgb[2], 255); }
 
 const char* name_of(Channel channel) {
     for (const auto& [value, name] : channels)
@@ -98,6 +104,7 @@ const char* name_of(Channel channel) {
 
 void Viewer::draw_controls() {
     draw_selected_box();
+    draw_legend();
     if (memory_.panel) draw_panel();
     if (help_) draw_help();
     draw_notice();
@@ -120,6 +127,7 @@ void Viewer::draw_panel() {
     draw_cameras();
     draw_workers();
     ImGui::Spacing();
+    if (ImGui::Button(recorder_ ? "end the recording" : "record this session")) toggle_recording();
     quiet("H help    Tab panel    P save picture");
     ImGui::End();
 }
@@ -140,15 +148,14 @@ void Viewer::draw_statistics() {
 }
 
 void Viewer::draw_motion() {
-    if (duration_ <= 0 || !section("Motion")) return;
-    if (ImGui::Button(playing_ ? "pause" : "play", {label_width - 24, 0})) playing_ = !playing_;
+    if (player_.duration() <= 0 || !section("Motion")) return;
+    if (ImGui::Button(player_.playing() ? "pause" : "play", {label_width - 24, 0}))
+        player_.play(!player_.playing());
     ImGui::SameLine(label_width);
     ImGui::SetNextItemWidth(-1);
-    auto seconds = float(seconds_);
-    if (ImGui::SliderFloat("##seconds", &seconds, 0, float(duration_), "%.2f s")) {
-        seconds_ = double(seconds);
-        playing_ = false;
-    }
+    auto seconds = float(player_.seconds());
+    if (ImGui::SliderFloat("##seconds", &seconds, 0, float(player_.duration()), "%.2f s"))
+        player_.seek(double(seconds));
 }
 
 void Viewer::draw_display() {
@@ -286,6 +293,40 @@ void Viewer::draw_workers() {
     ImGui::EndTable();
 }
 
+/// What the colours of the channel shown mean.
+void Viewer::draw_legend() {
+    const std::vector<LegendMark> marks = legend_of(shown_);
+    const bool owners = shown_ == Channel::owner && status_;
+    if (marks.empty() && !owners) return;
+    constexpr float width = 260, height = 12;
+    ImGui::SetNextWindowPos({24, 24});
+    ImGui::Begin("legend", nullptr,
+                 ImGuiWindowFlags_NoTitleBar | ImGuiWindowFlags_AlwaysAutoResize |
+                     ImGuiWindowFlags_NoInputs);
+    text("{}", name_of(shown_));
+    if (owners)
+        for (const WorkerStatus& worker : status_->workers) {
+            ImGui::TextColored(ImColor(colour(colour_of_number(worker.peer))), "##");
+            ImGui::SameLine();
+            text("{}", worker.name);
+        }
+    if (!marks.empty()) {
+        const ImVec2 at = ImGui::GetCursorScreenPos();
+        for (int i = 0; i < int(width); ++i)
+            ImGui::GetWindowDrawList()->AddRectFilled({at.x + float(i), at.y},
+                                                      {at.x + float(i + 1), at.y + height},
+                                                      colour(viridis((float(i) + 0.5f) / width)));
+        for (const LegendMark& mark : marks) {
+            const float half = 0.5f * ImGui::CalcTextSize(mark.text.c_str()).x;
+            const float x = std::clamp(width * mark.position - half, 0.0f, width - 2 * half);
+            ImGui::GetWindowDrawList()->AddText({at.x + x, at.y + height + 2},
+                                                IM_COL32(210, 210, 210, 255), mark.text.c_str());
+        }
+        ImGui::Dummy({width, height + ImGui::GetTextLineHeight() + 4});
+    }
+    ImGui::End();
+}
+
 void Viewer::draw_help() {
     constexpr std::pair<const char*, const char*> lines[] = {
         {"drag", "turn around what is looked at"},
@@ -299,6 +340,7 @@ void Viewer::draw_help() {
         {"Space", "play or pause what moves"},
         {"Home", "back to where it began"},
         {"P or F12", "save the picture"},
+        {"R", "record what is looked at and changed, and end that"},
         {"Tab", "hide or show the panel"},
         {"H or F1", "this help"}};
     ImGui::SetNextWindowPos({24, 24});

@@ -389,7 +389,14 @@ private:
     asio::awaitable<void> tell(WebSocket& stream, Browser& browser) {
         for (;;) {
             if (const auto message = browser.take()) {
-                stream.binary(message->kind == PageNews::picture);
+                const bool picture = message->kind == PageNews::picture;
+                if (picture) {
+                    const std::string coming =
+                        fmt::format("{{\"coming\": {}}}", message->bytes.size());
+                    stream.binary(false);
+                    co_await stream.async_write(asio::buffer(coming), asio::use_awaitable);
+                }
+                stream.binary(picture);
                 co_await stream.async_write(asio::buffer(message->bytes), asio::use_awaitable);
             } else if (const auto reason = browser.ended()) {
                 co_return co_await say_goodbye(stream, *reason);

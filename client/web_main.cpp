@@ -8,11 +8,12 @@
 #include "client/web_gateway.h"
 #include "common/check.h"
 #include "common/log.h"
+#include "common/scene_io.h"
 
 int main(int argc, char** argv) {
     using namespace tessera;
     WebGatewayConfig config;
-    std::string keys, log_level = "info";
+    std::string keys, motion, log_level = "info";
     CLI::App app(
         "Tessera in a browser: a gateway between a server and web pages, each with its own view.\n"
         "Whoever reaches its address looks and edits with the gateway's keys or, on loopback, with "
@@ -25,6 +26,10 @@ int main(int argc, char** argv) {
                    "folder that `tessera keys` made, for a server that speaks TLS: `viewer` lets "
                    "browsers look, `editor` also edit (default: TESSERA_KEYS)");
     app.add_option("--scene", config.viewer.scene, "a scene of the server (default: its first)");
+    app.add_option(
+        "--motion", motion,
+        "the scene that the server holds, a file or a generated one, for what moves in it: "
+        "pages can play it");
     app.add_option("--passes", config.viewer.passes, "passes until a picture has settled")
         ->check(CLI::Range(1u, 1u << 20))
         ->capture_default_str();
@@ -47,6 +52,7 @@ int main(int argc, char** argv) {
     try {
         config.viewer.server.credentials = load_credentials(keys);
         config.viewer.server.reconnects = true;
+        if (!motion.empty()) config.viewer.motion = load_scene(motion).bundle.motion;
         run_web_gateway(config, [&](const std::string& url) {
             if (config.beyond_loopback)
                 spdlog::warn(

@@ -12,6 +12,7 @@
 #include "client/camera_control.h"
 #include "client/edit_json.h"
 #include "common/check.h"
+#include "common/false_colour.h"
 #include "common/scene_bounds.h"
 
 namespace tessera {
@@ -21,10 +22,12 @@ using nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
 /// Pages show one picture while the next is under way.
-constexpr int most_unshown = 2;
+constexpr std::size_t most_unshown = 2;
 constexpr std::chrono::seconds status_interval{1};
 /// A page shows controls for no more lights than these.
 constexpr std::size_t most_lights = 64;
+/// And names no more workers.
+constexpr std::size_t most_owners = 32;
 
 // ---- To JSON ------------------------------------------------------------------------------------
 
@@ -86,7 +89,9 @@ std::string chosen_scene(const std::string& name, const RenderClient& client) {
 }  // namespace
 
 WebViewer::WebViewer(const WebViewerConfig& config)
-    : client_(config.server), scene_name_(chosen_scene(config.scene, client_)) {
+    : client_(config.server),
+      scene_name_(chosen_scene(config.scene, client_)),
+      player_(config.motion) {
     client_.watch(scene_name_);
     wanted_.request = 1;
     wanted_.spec.scene = scene_name_;
@@ -117,7 +122,11 @@ void WebViewer::hear(const json& message) {
     if (message.contains("view")) {
         read_view(message.at("view"), wanted_);
     } else if (message.contains("shown")) {
-        unshown_ = std::max(unshown_ - 1, 0);
+        shown(message);
+    } else if (message.contains("play")) {
+        player_.play(message.at("play").get<bool>());
+    } else if (message.contains("seek")) {
+        player_.seek(read_seconds(message.at("seek")));
     } else if (message.contains("pick")) {
         pick(message);
     } else if (message.contains("select")) {
@@ -128,6 +137,17 @@ void WebViewer::hear(const json& message) {
     } else {
         throw PageError("nobody knows what that message means");
     }
+}
+
+void WebViewer::shown(const json& message) {
+    if (unshown_.empty()) return;
+    const auto [told, jpeg] = unshown_.front();
+    unshown_.pop_front();
+    if (!jpeg || !message.contains("seconds")) return;
+    const double seconds = read_seconds(message.at("seconds"));
+    const double all = std::chrono::duration<double>(Clock::now() - told).count();
+    jpeg_quality_ = next_jpeg_quality(jpeg_quality_, seconds, all - seconds);
+    wanted_.jpeg_quality = std::uint32_t(jpeg_quality_);
 }
 
 void WebViewer::pick(const json& message) {
@@ -163,23 +183,49 @@ std::vector<PageMessage> WebViewer::news(std::chrono::milliseconds patience) {
     // What is to be told already does not wait.
     client_.poll(news_.empty() ? patience : std::chrono::milliseconds(0));
     if (client_.scene().version != told_version_) tell_about();
+    move();
     for (const std::string& complaint : client_.take_complaints())
         tell(PageNews::notice, {{"notice", complaint}});
     if (const auto status = client_.take_status()) {
         std::uint32_t threads = 0;
-        for (const WorkerStatus& worker : status->workers) threads += worker.threads;
+        json owners = json::array();
+        for (const WorkerStatus& worker : status->workers) {
+            threads += worker.threads;
+            if (owners.size() < most_owners)
+                owners.push_back(
+                    {{"name", worker.name}, {"colour", colour_of_number(worker.peer)}});
+        }
         tell(PageNews::status, {{"status",
                                  {{"workers", status->workers.size()},
                                   {"threads", threads},
+                                  {"owners", owners},
                                   {"viewers", status->viewers}}}});
     }
     if (Clock::now() - status_asked_ >= status_interval) {
         status_asked_ = Clock::now();
         client_.ask_status();
     }
-    if (unshown_ < most_unshown)
+    if (unshown_.size() < most_unshown)
         if (const auto picture = client_.take_picture()) tell_picture(*picture);
     return std::exchange(news_, {});
+}
+
+/// Puts what moves where it is by now, and tells where that is.
+void WebViewer::move() {
+    const auto edits = player_.step(scene(), client_.scene().version, seen_version_, Clock::now());
+    if (edits) client_.send_edit(scene_name_, edits->operations, edits->blobs);
+    if (player_.duration() > 0 &&
+        (player_.seconds() != told_seconds_ || player_.playing() != told_playing_))
+        tell_motion();
+}
+
+void WebViewer::tell_motion() {
+    told_seconds_ = player_.seconds();
+    told_playing_ = player_.playing();
+    tell(PageNews::motion, {{"motion",
+                             {{"seconds", told_seconds_},
+                              {"duration", player_.duration()},
+                              {"playing", told_playing_}}}});
 }
 
 void WebViewer::tell(PageNews kind, const json& message) {
@@ -233,7 +279,8 @@ void WebViewer::tell_picture(const ShownPicture& picture) {
         bytes.append(reinterpret_cast<const char*>(picture.jpeg.data()), picture.jpeg.size());
     else
         bytes += png_of(picture.srgb8, picture.size);
-    ++unshown_;
+    seen_version_ = about.version;
+    unshown_.push_back({.told = Clock::now(), .jpeg = jpeg});
     news_.push_back({PageNews::picture, std::move(bytes)});
 }
 

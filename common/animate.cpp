@@ -172,7 +172,7 @@ Shape deformed_shape(const Motion& motion, const Motion::Deformed& object, doubl
     return shape;
 }
 
-MotionEdits edits_at(const Scene& scene, const Motion& motion, double seconds) {
+MotionEdits edits_at(const Scene& scene, const Motion& motion, double seconds, float shape_error) {
     MotionEdits out;
     const std::vector<glm::dmat4> world = node_transforms(motion, seconds);
     const auto instances = names_of(scene.instances), lights = names_of(scene.lights),
@@ -197,8 +197,10 @@ MotionEdits edits_at(const Scene& scene, const Motion& motion, double seconds) {
     }
     for (const Motion::Deformed& d : motion.objects) {
         if (!objects.contains(d.object)) continue;
-        const BlobId shape = out.blobs.insert(encode(deformed_shape(motion, d, seconds, world)));
-        out.operations.push_back(SetShape{d.object, shape});
+        const Shape shape = deformed_shape(motion, d, seconds, world);
+        out.operations.push_back(SetShape{
+            d.object,
+            out.blobs.insert(shape_error > 0 ? encode_within(shape, shape_error) : encode(shape))});
     }
     return out;
 }

@@ -29,8 +29,9 @@ struct MotionEdits {
 };
 
 /// What puts everything that moves where it is at `seconds`. What the scene does not hold is left
-/// out.
-MotionEdits edits_at(const Scene& scene, const Motion& motion, double seconds);
+/// out. With `shape_error` vertices travel in fewer bytes and are off by at most so much.
+MotionEdits edits_at(const Scene& scene, const Motion& motion, double seconds,
+                     float shape_error = 0);
 
 /// The scene at that time, with its blobs.
 SceneBundle bundle_at(const SceneBundle& bundle, double seconds);

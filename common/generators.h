@@ -8,6 +8,7 @@ namespace tessera {
 SceneBundle generate_building();
 SceneBundle generate_cornell();
 SceneBundle generate_foliage();
+SceneBundle generate_kitchen();
 /// `triangles`: that fly.
 SceneBundle generate_museum(std::uint32_t triangles);
 SceneBundle generate_office();
@@ -16,5 +17,6 @@ SceneBundle generate_rooms();
 SceneBundle generate_shading();
 SceneBundle generate_storeys(int storeys);
 SceneBundle generate_sunflowers();
+SceneBundle generate_terrain();
 
 }  // namespace tessera

@@ -11,8 +11,6 @@
 namespace tessera {
 namespace {
 
-constexpr int quality = 90;
-
 using Handle = std::unique_ptr<void, decltype(&tjDestroy)>;
 
 const unsigned char* raw(std::span<const std::byte> bytes) {
@@ -21,7 +19,7 @@ const unsigned char* raw(std::span<const std::byte> bytes) {
 
 }  // namespace
 
-Bytes encode_jpeg(std::span<const std::uint8_t> rgb, ImageSize size) {
+Bytes encode_jpeg(std::span<const std::uint8_t> rgb, ImageSize size, int quality) {
     CHECK_EQ(rgb.size(), 3 * size.pixels());
     const Handle compressor(tjInitCompress(), tjDestroy);
     Bytes file(tjBufSize(size.width, size.height, TJSAMP_444));

@@ -10,8 +10,8 @@
 
 namespace tessera {
 
-/// `rgb`: three bytes per pixel. Colours keep the full resolution; quality 90 of 100.
-Bytes encode_jpeg(std::span<const std::uint8_t> rgb, ImageSize size);
+/// `rgb`: three bytes per pixel. Colours keep the full resolution; quality of 100.
+Bytes encode_jpeg(std::span<const std::uint8_t> rgb, ImageSize size, int quality);
 
 /// The picture as three bytes per pixel. Throws std::runtime_error when `file` is no JPEG of that
 /// size.

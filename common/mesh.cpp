@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <type_traits>
 
+#include "common/fixed_point.h"
+
 namespace tessera {
 namespace {
 
@@ -13,6 +15,7 @@ static_assert(sizeof(vec3) == 12 && sizeof(vec2) == 8 && sizeof(uvec3) == 12);
 
 constexpr std::uint32_t mesh_magic = 0x314d5354;     // "TSM1"
 constexpr std::uint32_t shape_magic = 0x31535354;    // "TSS1"
+constexpr std::uint32_t packed_magic = 0x51535354;   // "TSSQ"
 constexpr std::uint32_t texture_magic = 0x31545354;  // "TST1"
 constexpr std::uint32_t float_magic = 0x46545354;    // "TSTF"
 
@@ -70,6 +73,26 @@ private:
     std::span<const std::byte> rest_;
 };
 
+void write(const PackedPoints& points, Writer& out) {
+    out.value(points.error);
+    out.value(points.count);
+    out.value(points.lo);
+    out.value(points.step);
+    out.value(points.bits);
+    out.array(points.packed);
+}
+
+PackedPoints read_points(Reader& in) {
+    PackedPoints points;
+    points.error = in.value<float>();
+    points.count = in.value<std::uint64_t>();
+    points.lo = in.value<vec3>();
+    points.step = in.value<vec3>();
+    points.bits = in.value<uvec3>();
+    points.packed = in.array<std::byte>();
+    return points;
+}
+
 }  // namespace
 
 Bytes encode(const Mesh& mesh) {
@@ -114,12 +137,35 @@ Bytes encode(const Shape& shape) {
     return out.take();
 }
 
+Bytes encode_within(const Shape& shape, float error) {
+    constexpr float normal_error = 1e-3f;
+    Writer out;
+    out.value(packed_magic);
+    write(pack(shape.positions, error), out);
+    write(pack(shape.normals, normal_error), out);
+    return out.take();
+}
+
+float shape_error(std::span<const std::byte> shape) {
+    constexpr std::size_t head = sizeof(std::uint32_t) + sizeof(float);
+    if (shape.size() < head) return 0;
+    Reader in(shape.first(head));
+    return in.value<std::uint32_t>() == packed_magic ? in.value<float>() : 0;
+}
+
 Shape decode_shape(std::span<const std::byte> bytes) {
     Reader in(bytes);
-    if (in.value<std::uint32_t>() != shape_magic) throw std::runtime_error("blob is not a shape");
+    const auto magic = in.value<std::uint32_t>();
+    if (magic != shape_magic && magic != packed_magic)
+        throw std::runtime_error("blob is not a shape");
     Shape shape;
-    shape.positions = in.array<vec3>();
-    shape.normals = in.array<vec3>();
+    if (magic == packed_magic) {
+        shape.positions = unpack(read_points(in));
+        shape.normals = unpack(read_points(in));
+    } else {
+        shape.positions = in.array<vec3>();
+        shape.normals = in.array<vec3>();
+    }
     in.expect_end();
     if (!shape.normals.empty() && shape.normals.size() != shape.positions.size())
         throw std::runtime_error("shape arrays disagree in length");

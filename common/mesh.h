@@ -53,6 +53,12 @@ Bytes encode(const Mesh& mesh);
 Bytes encode(const Shape& shape);
 Bytes encode(const Texture& texture);
 
+/// A shape in a third of the bytes: its coordinates are off by at most `error` (object space, more
+/// than 0), components of its normals by a thousandth. decode_shape() reads it as any other.
+Bytes encode_within(const Shape& shape, float error);
+/// By how much the coordinates of an encoded shape may be off; 0 when it is one without loss.
+float shape_error(std::span<const std::byte> shape);
+
 /// Throws std::runtime_error with the reason when the bytes are no valid mesh: sizes that disagree,
 /// vertex indices out of range. Never reads outside `bytes`, never allocates more than it holds.
 Mesh decode_mesh(std::span<const std::byte> bytes);

@@ -736,7 +736,7 @@ void pack_channels(ChannelSet v, google::protobuf::RepeatedField<int>& out) {
 }
 ChannelSet unpack_channels(const google::protobuf::RepeatedField<int>& in) {
     ChannelSet set;
-    for (const int c : in) set = set.with(unpack_enum(c, Channel::indirect, "extra channel"));
+    for (const int c : in) set = set.with(unpack_enum(c, Channel::owner, "extra channel"));
     return set;
 }
 
@@ -828,6 +828,7 @@ void pack(const View& v, wire::View& out) {
     out.set_shown(pack_enum<wire::Channel>(v.shown));
     out.set_error_limit(v.error_limit);
     out.set_stamp(v.stamp);
+    out.set_jpeg_quality(v.jpeg_quality);
 }
 void unpack(const wire::View& in, View& v) {
     if (in.request() == 0) refuse("request is 0");
@@ -837,9 +838,11 @@ void unpack(const wire::View& in, View& v) {
     v.format = unpack_enum(in.format(), PictureFormat::automatic, "format");
     v.tone_map.curve = unpack_enum(in.tone_curve(), ToneCurve::filmic, "tone_curve");
     v.tone_map.exposure = finite(in.exposure(), "exposure");
-    v.shown = unpack_enum(in.shown(), Channel::indirect, "shown channel");
+    v.shown = unpack_enum(in.shown(), Channel::owner, "shown channel");
     v.error_limit = amount(in.error_limit(), "error_limit");
     v.stamp = in.stamp();
+    v.jpeg_quality = in.jpeg_quality();
+    if (v.jpeg_quality > 100) refuse("jpeg_quality is more than 100");
 }
 
 void pack(const ViewEnd& v, wire::ViewEnd& out) { out.set_request(v.request); }
@@ -900,7 +903,7 @@ void pack(const PictureChunk& v, wire::PictureChunk& out) {
 }
 void unpack(const wire::PictureChunk& in, PictureChunk& v) {
     v.request = in.request();
-    v.channel = unpack_enum(in.channel(), Channel::indirect, "channel");
+    v.channel = unpack_enum(in.channel(), Channel::owner, "channel");
     v.format = unpack_enum(in.format(), PictureFormat::jpeg, "format");
     v.width = std::uint32_t(unpack_side(in.width(), "width"));
     v.height = std::uint32_t(unpack_side(in.height(), "height"));

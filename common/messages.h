@@ -184,6 +184,7 @@ struct View {
     Channel shown = Channel::radiance;  ///< radiance: the picture
     double error_limit = 0;             ///< settled at this error estimate; 0: none
     std::uint64_t stamp = 0;            ///< the viewer's own, echoed in ViewPicture
+    std::uint32_t jpeg_quality = 0;     ///< 1 to 100; 0: as the server finds the link to be
 
     bool operator==(const View&) const = default;
 };

@@ -48,12 +48,18 @@ enum class Channel : std::uint8_t {
     depth,   ///< path length from the eye to there; infinite where nothing was hit
     surface,  ///< bits of a uint32: instance, object and path length there; 0 where nothing was hit
     direct,   ///< rgb: radiance of emission and direct light
-    indirect,  ///< rgb: radiance of everything else
+    indirect,     ///< rgb: radiance of everything else
+    path_length,  ///< segments of the path from the eye to the first diffuse hit: 1 and one for
+                  ///< each mirror and glass; 0 where nothing was hit
+    // Of these the server knows by itself:
+    error,  ///< standard error of the mean, RMS over colours, as far as it is visible within [0,
+            ///< 1]; infinite before there are two runs of passes
+    owner,  ///< number of the worker whose tile it was in the newest run of passes
 };
-inline constexpr int channel_count = 8;
+inline constexpr int channel_count = 11;
 
 constexpr int floats_per_pixel(Channel c) {
-    return c == Channel::depth || c == Channel::surface ? 1 : 3;
+    return c == Channel::depth || c == Channel::surface || c >= Channel::path_length ? 1 : 3;
 }
 
 /// A set of channels as bits.
@@ -63,6 +69,7 @@ struct ChannelSet {
     constexpr bool has(Channel c) const { return bits >> unsigned(c) & 1; }
     constexpr ChannelSet with(Channel c) const { return {bits | 1u << unsigned(c)}; }
     constexpr ChannelSet with(ChannelSet o) const { return {bits | o.bits}; }
+    constexpr ChannelSet without(ChannelSet o) const { return {bits & ~o.bits}; }
     bool operator==(const ChannelSet&) const = default;
 };
 
@@ -96,6 +103,10 @@ struct FrameSpec {
     bool operator==(const FrameSpec&) const = default;
 };
 
+/// Channels that no worker sends.
+inline constexpr ChannelSet server_channels =
+    ChannelSet{}.with(Channel::error).with(Channel::owner);
+
 /// Channels that workers send for a frame: what the picture and its filter need, and what was asked
 /// for.
 constexpr ChannelSet tile_channels(const FrameSpec& spec) {
@@ -105,7 +116,7 @@ constexpr ChannelSet tile_channels(const FrameSpec& spec) {
         if (spec.settings.filter != FilterPlace::off)
             set = set.with(Channel::normal).with(Channel::depth).with(Channel::surface);
     }
-    return set.with(spec.extra);
+    return set.with(spec.extra).without(server_channels);
 }
 
 /// Passes that one task traces: a filtered pass travels alone, others are summed on the worker.
@@ -149,7 +160,7 @@ struct TileTask {
 /// The answer to a task as it is rendered; common/tile_codec.h packs it. `data` holds the channels
 /// of tile_channels(spec) in order, each planar by channel and interleaved within (rgbrgb...), rows
 /// of the tile's rect from the top. Values are sums over the task's passes, except `surface`,
-/// `normal` and `depth`, which are those of the task's first pass.
+/// `normal`, `depth` and `path_length`, which are those of the task's first pass.
 struct TileResult {
     TileTask task;
     std::uint64_t rays = 0;

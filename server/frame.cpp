@@ -32,7 +32,8 @@ std::span<const float> channel_of(const FrameSpec& spec, const RunBuffer& run, C
 }
 
 bool of_first_pass(Channel c) {
-    return c == Channel::normal || c == Channel::depth || c == Channel::surface;
+    return c == Channel::normal || c == Channel::depth || c == Channel::surface ||
+           c == Channel::path_length;
 }
 
 /// Zero in place of what is not finite.
@@ -157,7 +158,8 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
 
     // Add the channels asked for beside the picture.
     for (auto& [channel, sums] : extra_) {
-        if (of_first_pass(channel) && runs_ > 0) continue;
+        if (channel == Channel::owner) fold_owners(run, y0, y1);
+        if (server_channels.has(channel) || (of_first_pass(channel) && runs_ > 0)) continue;
         const std::span<const float> values =
             channel == Channel::irradiance && igi ? irradiance : channel_of(spec_, run, channel);
         const std::size_t row =
@@ -169,6 +171,15 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
             for (std::size_t i = std::size_t(y0) * row; i < std::size_t(y1) * row; ++i)
                 sums[i] += finite_or_zero(values[i]);
     }
+}
+
+void FrameSums::fold_owners(const RunBuffer& run, int y0, int y1) {
+    std::vector<float>& owners = extra_.at(Channel::owner);
+    const std::size_t width = std::size_t(spec_.size.width);
+    for (int y = y0; y < y1; ++y)
+        for (std::size_t x = 0; x < width; ++x)
+            owners[std::size_t(y) * width + x] =
+                run.owners[std::size_t(y / tile_size) * tiles_across(spec_.size) + x / tile_size];
 }
 
 void FrameSums::finish_run(const RunBuffer& run) {
@@ -250,11 +261,28 @@ Image FrameSums::picture() const {
     return image;
 }
 
+/// As row_error() counts it.
+Image FrameSums::error() const {
+    Image image(spec_.size, 1);
+    const float scale = 1 / (float(runs_) * std::max(float(runs_) - 1, 1.0f));
+    for (std::size_t p = 0; p < image.data.size(); ++p) {
+        float squared = runs_ < 2 ? infinity : 0;
+        for (std::size_t i = 3 * p; i < 3 * p + 3 && runs_ >= 2; ++i) {
+            const float room = mean_[i] < 1 ? std::max(mean_[i], 1 - mean_[i]) : 0;
+            squared += std::min(squares_[i] * scale, room * room) / 3;
+        }
+        image.data[p] = std::sqrt(squared);
+    }
+    return image;
+}
+
 Image FrameSums::channel(Channel c) const {
     CHECK(extra_.contains(c));
+    if (c == Channel::error) return error();
     const float scale = 1 / float(std::max(passes_, 1u));
     Image image = scaled_image(spec_.size, floats_per_pixel(c), extra_.at(c), scale);
-    if (of_first_pass(c)) image.data = extra_.at(c);  // surface is bits, not a number
+    // Surface is bits, not a number.
+    if (of_first_pass(c) || c == Channel::owner) image.data = extra_.at(c);
     return image;
 }
 
@@ -297,7 +325,7 @@ bool FrameAssembler::fits(const TileTask& task, std::span<const std::byte> pixel
 }
 
 Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pixels,
-                            std::vector<LightEstimate> lights) {
+                            std::uint64_t owner, std::vector<LightEstimate> lights) {
     if (!fits(task, pixels)) return Arrival::broken;
     const std::uint32_t run = *run_of(spec_, task);
     if (run < folded_ + (folding_ ? 1 : 0)) return Arrival::duplicate;
@@ -307,6 +335,7 @@ Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pix
     if (buffer.tile_here[task.tile]) return Arrival::duplicate;
     unpack_tile(channels_, pixels, tile_rect(spec_.size, task.tile), spec_.size, buffer.data);
     buffer.lights[task.tile] = std::move(lights);
+    buffer.owners[task.tile] = float(owner);
     buffer.tile_here[task.tile] = true;
     --buffer.tiles_missing;
     ++tasks_done_;
@@ -320,6 +349,7 @@ RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
     buffer.passes = passes_of_run(spec_.settings, run);
     buffer.tiles_missing = tile_count(spec_.size);
     buffer.tile_here.assign(tile_count(spec_.size), false);
+    buffer.owners.resize(tile_count(spec_.size));
     buffer.lights.assign(tile_count(spec_.size), {});
     buffer.data = pool_->take(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
     return open_.emplace(run, std::move(buffer)).first->second;

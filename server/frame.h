@@ -27,6 +27,7 @@ struct RunBuffer {
     std::uint32_t passes = 0;
     std::uint32_t tiles_missing = 0;
     std::vector<bool> tile_here;
+    std::vector<float> owners;  ///< by tile: number of the worker
     std::vector<float> data;
     std::vector<std::vector<LightEstimate>> lights;  ///< of each tile; empty: not tracked
 };
@@ -58,8 +59,8 @@ public:
     /// The mean of the passes folded so far, with the detail that the filter should not have taken;
     /// black when there are none.
     Image picture() const;
-    /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth
-    /// and surface as they are in the first pass.
+    /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth,
+    /// surface and path length as they are in the first pass, and owners those of the last run.
     Image channel(Channel c) const;
     /// What lights send into one pass, on average of those since the sums were last resumed: the
     /// `most` that send most, by number.
@@ -73,6 +74,8 @@ private:
     void make_means();
     std::vector<std::span<std::byte>> parts();
     double row_error(int y) const;
+    void fold_owners(const RunBuffer& run, int y0, int y1);
+    Image error() const;
 
     FrameSpec spec_;
     std::uint32_t runs_ = 0;
@@ -118,7 +121,8 @@ public:
 
     /// Whether this is one of the frame's tasks with pixels of such a tile, packed.
     bool fits(const TileTask& task, std::span<const std::byte> pixels) const;
-    Arrival add(const TileTask& task, std::span<const std::byte> pixels,
+    /// `owner`: number of the worker whose it is.
+    Arrival add(const TileTask& task, std::span<const std::byte> pixels, std::uint64_t owner = 0,
                 std::vector<LightEstimate> lights = {});
 
     /// The next run in order once it is complete; to be folded, then handed back to run_folded.

@@ -58,6 +58,8 @@ LiveView::LiveView(RenderFarm& farm, std::function<void()> news,
 
 void LiveView::show(const View& view, ScenePtr scene) {
     const bool rendered_already = scene == scene_ && same_rendering(view, wanted_);
+    wanted_.jpeg_quality = begun_.jpeg_quality = view.jpeg_quality;
+    if (rendered_already && view == wanted_) return;  // of the pictures to come
     wanted_ = view;
     watch(std::move(scene));
     if (!rendered_already) {

@@ -1,8 +1,8 @@
 #include "server/picture_parts.h"
 
-#include <bit>
 #include <utility>
 
+#include "common/false_colour.h"
 #include "common/jpeg.h"
 
 namespace tessera {
@@ -29,42 +29,6 @@ PicturePart linear_part(std::uint64_t request, Channel channel, Image image) {
                      std::move(image.data));
 }
 
-std::uint8_t byte_of(float v) { return std::uint8_t(255 * std::clamp(v, 0.0f, 1.0f) + 0.5f); }
-
-std::vector<std::uint8_t> normal_colours(const Image& normals) {
-    std::vector<std::uint8_t> out;
-    for (const float n : normals.data) out.push_back(byte_of(0.5f * n + 0.5f));
-    return out;
-}
-
-std::vector<std::uint8_t> depth_greys(const Image& depths) {
-    std::vector<std::uint8_t> out;
-    for (const float d : depths.data) out.insert(out.end(), 3, byte_of(1 / (1 + d)));
-    return out;
-}
-
-/// The hash's own bits.
-std::vector<std::uint8_t> surface_colours(const Image& surfaces) {
-    std::vector<std::uint8_t> out;
-    for (const float s : surfaces.data)
-        for (int shift = 0; shift < 24; shift += 8)
-            out.push_back(std::uint8_t(std::bit_cast<std::uint32_t>(s) >> shift));
-    return out;
-}
-
-std::vector<std::uint8_t> rgb8(const LivePicture& picture) {
-    switch (picture.view.shown) {
-        case Channel::normal:
-            return normal_colours(*picture.image);
-        case Channel::depth:
-            return depth_greys(*picture.image);
-        case Channel::surface:
-            return surface_colours(*picture.image);
-        default:
-            return to_srgb8(*picture.image, picture.view.tone_map);
-    }
-}
-
 }  // namespace
 
 std::vector<PicturePart> parts_of(const FinishedFrame& frame) {
@@ -83,18 +47,18 @@ std::vector<PicturePart> parts_of(const FinishedFrame& frame) {
     return parts;
 }
 
-PicturePart part_of(const LivePicture& picture) {
+PicturePart part_of(const LivePicture& picture, int jpeg_quality) {
     const View& view = picture.view;
     const Image& image = *picture.image;
     PictureFormat format = view.format;
     if (format == PictureFormat::automatic)
         format = picture.about.settled ? PictureFormat::srgb8 : PictureFormat::jpeg;
     if (format == PictureFormat::linear_float) return linear_part(view.request, view.shown, image);
-    std::vector<std::uint8_t> bytes = rgb8(picture);
+    std::vector<std::uint8_t> bytes = to_rgb8(image, view.shown, view.tone_map);
     if (format == PictureFormat::srgb8)
         return make_part(view.request, view.shown, format, image.size, 3, std::move(bytes));
     return make_part(view.request, view.shown, format, image.size, 3,
-                     encode_jpeg(bytes, image.size));
+                     encode_jpeg(bytes, image.size, jpeg_quality));
 }
 
 Message chunk_of(const PicturePart& part, std::size_t offset) {

@@ -15,7 +15,7 @@ struct PicturePart {
 /// The picture and spec.extra.
 std::vector<PicturePart> parts_of(const FinishedFrame& frame);
 /// The channel that the view shows.
-PicturePart part_of(const LivePicture& picture);
+PicturePart part_of(const LivePicture& picture, int jpeg_quality);
 
 Message chunk_of(const PicturePart& part, std::size_t offset);
 

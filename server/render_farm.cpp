@@ -205,7 +205,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
                        from_seconds(tile.seconds), now);
     worker.busy_seconds += tile.seconds;
     if (answer != Answer::first) return;
-    CHECK(job.assembler.add(tile.task, pixels, tile.lights) == Arrival::stored);
+    CHECK(job.assembler.add(tile.task, pixels, worker.id(), tile.lights) == Arrival::stored);
     ++worker.tiles;
     worker.rays += tile.rays;
     job.rays += tile.rays;

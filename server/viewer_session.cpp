@@ -29,7 +29,9 @@ asio::awaitable<std::shared_ptr<FrameSums>> resumed(const FrameSpec& spec, const
     const auto sums = std::make_shared<FrameSums>(spec);
     co_return sums->resume(saved) ? sums : nullptr;
 }
-asio::awaitable<PicturePart> make_part(const LivePicture& picture) { co_return part_of(picture); }
+asio::awaitable<PicturePart> make_part(const LivePicture& picture, int jpeg_quality) {
+    co_return part_of(picture, jpeg_quality);
+}
 
 std::string no_scene(const std::string& name, const SceneStore& store) {
     return fmt::format(
@@ -152,8 +154,7 @@ void ViewerSession::handle(Message message, RenderFarm& farm, SceneStore& store,
     } else if (const auto* ping = message.get<Ping>()) {
         connection_->send({Pong{ping->stamp}, {}});
     } else if (const auto* pong = message.get<Pong>()) {
-        pictures_read_ = std::clamp(pong->stamp, pictures_read_, pictures_sent_);
-        news_.cancel();
+        read_up_to(pong->stamp);
     } else {
         throw ProtocolError("sends a message that is not for viewers to send");
     }
@@ -323,11 +324,39 @@ void ViewerSession::send_newest(std::pair<const std::string, Watched>& entry) {
 }
 
 asio::awaitable<void> ViewerSession::send_picture(LivePicture picture, asio::any_io_executor pool) {
-    const PicturePart part = co_await asio::co_spawn(pool, make_part(picture), asio::use_awaitable);
-    ++pictures_sent_;
+    const int quality =
+        picture.view.jpeg_quality > 0 ? int(picture.view.jpeg_quality) : jpeg_quality_;
+    const PicturePart part =
+        co_await asio::co_spawn(pool, make_part(picture, quality), asio::use_awaitable);
+    const std::uint64_t number = ++pictures_sent_;
+    travelling_[number] = {.sent = std::chrono::steady_clock::now(),
+                           .begun = {},
+                           .jpeg = part.whole.format == PictureFormat::jpeg};
+    connection_->send_bulk({Ping{2 * number - 1}, {}});
     co_await send_part(part);
     connection_->send_bulk({picture.about, {}});
-    connection_->send_bulk({Ping{pictures_sent_}, {}});
+    connection_->send_bulk({Ping{2 * number}, {}});
+}
+
+/// The viewer has read the beginning of a picture, or all of it.
+void ViewerSession::read_up_to(std::uint64_t stamp) {
+    const auto now = std::chrono::steady_clock::now();
+    const auto picture = travelling_.find(stamp / 2 + stamp % 2);
+    if (picture == travelling_.end()) return;
+    Travelling& way = picture->second;
+    if (stamp % 2 == 1) {
+        way.begun = now;
+        return;
+    }
+    const auto seconds = [](auto from, auto to) {
+        return std::chrono::duration<double>(to - from).count();
+    };
+    if (way.jpeg && way.begun >= way.sent)
+        jpeg_quality_ =
+            next_jpeg_quality(jpeg_quality_, seconds(way.begun, now), seconds(way.sent, way.begun));
+    pictures_read_ = std::max(pictures_read_, stamp / 2);
+    travelling_.erase(travelling_.begin(), std::next(picture));
+    news_.cancel();
 }
 
 /// Feeds chunks into the bulk lane, as fast as the viewer reads.

@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 
+#include "common/picture_quality.h"
 #include "server/limits.h"
 #include "server/picture_parts.h"
 #include "server/render_farm.h"
@@ -50,6 +51,7 @@ private:
     asio::awaitable<void> resume_frame(RenderFarm& farm, SceneStore& store);
     void save_frame(std::uint64_t request, RenderFarm& farm);
     asio::awaitable<void> send_sums(std::uint64_t request, SavedFrame saved);
+    void read_up_to(std::uint64_t stamp);
     void cancel_frame(std::uint64_t request, RenderFarm& farm);
     void fail(std::uint64_t request, const std::string& reason);
     asio::awaitable<void> send_frame(FinishedFrame frame, asio::any_io_executor pool);
@@ -83,10 +85,17 @@ private:
     std::uint64_t last_view_ = 0;           ///< whose picture was sent last
     std::uint64_t pictures_sent_ = 0;
     std::uint64_t pictures_read_ = 0;  ///< as far as the viewer has said
-    asio::steady_timer news_;          ///< cancelled whenever there is something to tell
-    std::size_t unwritten_ = 0;        ///< changes that are not in the journal yet
-    asio::steady_timer written_;       ///< cancelled whenever there are fewer
-    unsigned blob_requests_ = 0;       ///< being answered
+    /// A picture under way, between two pings.
+    struct Travelling {
+        std::chrono::steady_clock::time_point sent, begun;
+        bool jpeg = false;
+    };
+    std::map<std::uint64_t, Travelling> travelling_;  ///< by number; at most two
+    int jpeg_quality_ = best_jpeg_quality;            ///< that the link allows
+    asio::steady_timer news_;     ///< cancelled whenever there is something to tell
+    std::size_t unwritten_ = 0;   ///< changes that are not in the journal yet
+    asio::steady_timer written_;  ///< cancelled whenever there are fewer
+    unsigned blob_requests_ = 0;  ///< being answered
     struct Asked {
         std::uint64_t frame = 0;
         std::uint64_t memory = 0;

@@ -39,7 +39,7 @@ struct Assembly {
 
     Arrival add(const TileTask& task) {
         // Numbers whose sums depend on their order.
-        return assembler.add(task, packed(spec, fake_answer(spec, task)),
+        return assembler.add(task, packed(spec, fake_answer(spec, task)), 0,
                              {{task.tile % 3, 0.1f * float(task.tile + 1)},
                               {3 + task.tile % 5, 1e6f / float(task.first_pass + 1)}});
     }
@@ -100,6 +100,44 @@ TEST(Frame, lights_that_send_most_are_told_by_number) {
     for (std::uint32_t i = 0; i < 5; ++i) EXPECT_EQ(most[i], all[3 + i]);
     // Passes of 12 tiles; a light of five gets a million, and half of it in the second pass.
     EXPECT_NEAR(all[7].radiance, 0.75e6f * 2, 1);
+}
+
+TEST(Frame, the_error_of_pixels_adds_up_to_that_of_the_picture) {
+    FrameSpec spec = small_frame(Integrator::path, 70);
+    spec.extra = spec.extra.with(Channel::error);
+    Assembly frame(spec);
+    for (const TileTask& task : all_tasks(spec)) {
+        frame.add(task);
+        frame.fold(spec.size.height);
+        const Image error = frame.sums.channel(Channel::error);
+        if (frame.sums.runs() < 2) {
+            EXPECT_TRUE(std::isinf(error.data[0]));
+            continue;
+        }
+        double squares = 0;
+        for (const float e : error.data) squares += double(e) * double(e);
+        EXPECT_NEAR(std::sqrt(squares / double(error.data.size())), frame.sums.error_estimate(),
+                    1e-5);
+    }
+}
+
+TEST(Frame, owners_are_those_of_the_tiles_in_the_newest_run) {
+    FrameSpec spec = small_frame(Integrator::path, 33);
+    spec.extra = spec.extra.with(Channel::owner);
+    Assembly frame(spec);
+    const auto owner = [](const TileTask& task) { return task.tile + task.first_pass; };
+    for (const TileTask& task : all_tasks(spec)) {
+        frame.assembler.add(task, packed(spec, fake_answer(spec, task)), owner(task));
+        frame.fold(7);
+    }
+    const Image owners = frame.sums.channel(Channel::owner);
+    for (const TileTask& task : all_tasks(spec)) {
+        if (*run_of(spec, task) + 1 != frame.sums.runs()) continue;
+        const Rect rect = tile_rect(spec.size, task.tile);
+        for (int y = rect.y0; y < rect.y1; ++y)
+            for (int x = rect.x0; x < rect.x1; ++x)
+                EXPECT_EQ(owners.data[std::size_t(y * spec.size.width + x)], float(owner(task)));
+    }
 }
 
 TEST(Frame, sums_that_were_saved_go_on_to_the_same_bits) {

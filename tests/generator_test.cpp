@@ -49,6 +49,7 @@ TEST_P(EveryGenerator, has_a_camera_and_light) {
     double power = 0;
     for (const WorldTriangle& t : world_triangles(shining))
         power += t.area() * mean_component(t.emission);
+    for (const Light& light : bundle.scene.lights) power += mean_component(light.intensity);
     EXPECT_GT(power, 0.01);
 }
 
@@ -155,6 +156,33 @@ TEST(Generator, sunflowers_are_a_billion_triangles) {
     EXPECT_GT(placed, 800'000'000u);
     EXPECT_LT(placed, 1'300'000'000u);
     EXPECT_GE(bundle.scene.instances.size(), 28'000u);
+}
+
+std::size_t placed_triangles(const SceneBundle& bundle) {
+    std::vector<std::size_t> of_object;
+    for (const Object& object : bundle.scene.objects)
+        of_object.push_back(mesh_of(bundle, object.mesh).triangles.size());
+    std::size_t placed = 0;
+    for (const Instance& instance : bundle.scene.instances) placed += of_object[instance.object];
+    return placed;
+}
+
+TEST(Generator, terrain_is_ten_million_triangles_in_661_instances_that_sway) {
+    const SceneBundle bundle = *generate_scene("terrain");
+    EXPECT_EQ(bundle.scene.instances.size(), 661u);
+    EXPECT_EQ(bundle.scene.objects.size(), 3u);
+    EXPECT_GT(placed_triangles(bundle), 9'500'000u);
+    EXPECT_LT(placed_triangles(bundle), 14'000'000u);
+    EXPECT_EQ(bundle.motion.instances.size(), 660u);
+}
+
+TEST(Generator, kitchen_has_mirrors_six_lights_and_a_train_that_goes_round) {
+    const SceneBundle bundle = *generate_scene("kitchen");
+    EXPECT_EQ(bundle.scene.objects.size(), 5u);
+    EXPECT_EQ(bundle.scene.lights.size(), 6u);
+    EXPECT_GT(placed_triangles(bundle), 95'000u);
+    EXPECT_LT(placed_triangles(bundle), 125'000u);
+    EXPECT_EQ(bundle.motion.instances.at(0).name, "train");
 }
 
 TEST(Generator, office_has_mirrors_and_textures) {

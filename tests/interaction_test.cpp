@@ -9,8 +9,10 @@
 #include "client/camera_control.h"
 #include "client/edit_json.h"
 #include "client/pick.h"
+#include "client/recording.h"
 #include "common/check.h"
 #include "common/jpeg.h"
+#include "common/picture_quality.h"
 #include "tests/temp_dir.h"
 
 namespace tessera {
@@ -167,13 +169,106 @@ TEST(EditJson, mistakes_are_told_with_file_and_entry) {
     }
 }
 
+/// Some change of a scene, of each kind.
+std::vector<EditOperation> some_edits(std::mt19937& random, const Scene& scene) {
+    const auto number = [&] { return std::uniform_real_distribution<float>(0, 1)(random); };
+    const auto chance = [&] { return random() % 3 == 0; };
+    std::vector<EditOperation> out;
+    mat4 place(1);
+    place[3] = vec4(number(), number(), number(), 1);
+    for (const Instance& i : scene.instances)
+        if (chance()) out.push_back(SetTransform{i.name, place});
+    if (chance()) out.push_back(CreateInstance{std::to_string(random()), "chair", place});
+    if (chance() && !scene.instances.empty())
+        out.push_back(DeleteInstance{scene.instances.front().name});
+    if (chance()) out.push_back(SetMaterial{.material = "oak", .roughness = number()});
+    for (const Light& l : scene.lights)
+        if (chance()) out.push_back(SetLight{.light = l.name, .intensity = vec3(number())});
+    if (chance())
+        out.push_back(CreateLight{
+            {.name = std::to_string(random()), .kind = LightKind::spot, .position = vec3(1)}});
+    if (chance()) out.push_back(SetCamera{{.name = "door", .eye = {1, 1, number()}}});
+    return out;
+}
+
+/// Tables without order: an edit may put an entry elsewhere.
+Scene sorted(Scene scene) {
+    const auto by_name = [](auto& table) {
+        std::ranges::sort(table, {}, [](const auto& e) { return e.name; });
+    };
+    by_name(scene.instances);
+    by_name(scene.lights);
+    by_name(scene.cameras);
+    return scene;
+}
+
+TEST(Recording, what_is_written_makes_the_same_scenes_again) {
+    std::mt19937 random(3);
+    Scene scene = small_scene();
+    Recorder recorder(scene);
+    for (int i = 0; i < 200; ++i) {
+        scene = apply_edits(scene, some_edits(random, scene)).scene;
+        recorder.see(0.1 * i, scene);
+        recorder.see(0.1 * i, Camera{.name = {}, .eye = vec3(float(i / 2), 1, 1)});
+    }
+    const TempDir dir;
+    recorder.save(dir.file("session.json"));
+    const auto steps = load_timed_edits(dir.file("session.json"), small_scene());
+    Scene again = small_scene();
+    int views = 0;
+    for (const TimedEdit& step : steps) {
+        const EditedScene edited = apply_edits(again, step.operations);
+        EXPECT_TRUE(edited.complaints.empty());
+        again = edited.scene;
+        views += step.view.has_value();
+    }
+    EXPECT_EQ(sorted(again), sorted(scene));
+    EXPECT_EQ(views, 100);
+    EXPECT_LE(steps.size(), 200u);
+}
+
+/// Seconds that a picture of this quality takes over a link; 200 kB at the best quality.
+double seconds_of(int quality, double bytes_per_second) {
+    return 2e5 * std::exp2((quality - best_jpeg_quality) / 20.0) / bytes_per_second;
+}
+
+TEST(PictureQuality, settles_where_the_link_allows_and_stays) {
+    for (const double round_trip : {0.0, 0.02, 0.2})
+        for (const double mbit : {0.5, 2.0, 8.0, 30.0, 100.0, 1000.0}) {
+            const double budget = 0.04 + 0.25 * round_trip;
+            int quality = best_jpeg_quality, least = best_jpeg_quality, most = 0;
+            for (int picture = 0; picture < 60; ++picture) {
+                quality = next_jpeg_quality(quality, seconds_of(quality, mbit * 125e3), round_trip);
+                if (picture < 30) continue;
+                least = std::min(least, quality);
+                most = std::max(most, quality);
+            }
+            EXPECT_LE(most - least, 3) << mbit;
+            const bool fits = seconds_of(most, mbit * 125e3) <= budget;
+            EXPECT_TRUE(fits || least == worst_jpeg_quality) << mbit << " Mbit/s";
+            if (seconds_of(best_jpeg_quality, mbit * 125e3) < 0.5 * budget) {
+                EXPECT_EQ(least, best_jpeg_quality) << mbit << " Mbit/s";
+            }
+        }
+}
+
+TEST(PictureQuality, is_never_better_for_what_takes_longer) {
+    for (int now = worst_jpeg_quality; now <= best_jpeg_quality; ++now)
+        for (double seconds = 1e-3; seconds < 1e3; seconds *= 1.1) {
+            const int next = next_jpeg_quality(now, seconds, 0.01);
+            EXPECT_LE(next_jpeg_quality(now, 1.1 * seconds, 0.01), next);
+            EXPECT_GE(next, worst_jpeg_quality);
+            EXPECT_LE(next, best_jpeg_quality);
+        }
+}
+
 TEST(Jpeg, comes_back_nearly_the_same_and_only_in_its_own_size) {
     const ImageSize size{67, 45};
     std::vector<std::uint8_t> rgb;
     for (int y = 0; y < size.height; ++y)
         for (int x = 0; x < size.width; ++x)
             rgb.insert(rgb.end(), {std::uint8_t(3 * x), std::uint8_t(5 * y), 90});
-    Bytes file = encode_jpeg(rgb, size);
+    Bytes file = encode_jpeg(rgb, size, 90);
     EXPECT_LT(file.size(), rgb.size() / 2);
     const auto back = decode_jpeg(file, size);
     ASSERT_EQ(back.size(), rgb.size());

@@ -63,6 +63,47 @@ TEST(Mesh, shapes_come_back_and_fit_their_meshes_only) {
     }
 }
 
+TEST(Mesh, shapes_with_an_error_keep_it_and_say_so) {
+    std::mt19937 random(6);
+    std::uniform_real_distribution<float> within(-2, 2);
+    for (const float error : {1e-1f, 1e-3f, 1e-5f}) {
+        Shape shape;
+        for (int i = 0; i < 500; ++i) {
+            shape.positions.push_back({within(random), 3, 5 + within(random)});
+            shape.normals.push_back(
+                normalize(vec3(within(random), within(random), 2.5f + within(random))));
+        }
+        const Bytes bytes = encode_within(shape, error);
+        const Shape again = decode_shape(bytes);
+        ASSERT_EQ(again.positions.size(), shape.positions.size());
+        float most = 0, most_of_normals = 0;
+        for (std::size_t i = 0; i < shape.positions.size(); ++i) {
+            most = std::max(most, max_component(abs(again.positions[i] - shape.positions[i])));
+            most_of_normals =
+                std::max(most_of_normals, max_component(abs(again.normals[i] - shape.normals[i])));
+        }
+        EXPECT_LE(most, error * 1.1f);
+        EXPECT_EQ(shape_error(bytes), most);
+        EXPECT_LE(most_of_normals, 1.1e-3f);
+        EXPECT_LT(bytes.size(), encode(shape).size() * 3 / 4);
+        for (std::size_t size = 0; size < bytes.size(); size += 97)
+            EXPECT_THROW(decode_shape(std::span(bytes).first(size)), std::runtime_error);
+    }
+    EXPECT_EQ(decode_shape(encode_within({}, 1)), Shape());
+    EXPECT_EQ(shape_error(encode(Shape())), 0);
+}
+
+/// The figures that README tells.
+TEST(Mesh, four_thousand_triangles_on_their_own_ways_are_small_enough_to_send) {
+    std::mt19937 random(7);
+    std::uniform_real_distribution<float> within(-2.25f, 2.25f);  // as museum's
+    Shape shape;
+    for (int i = 0; i < 3 * 4096; ++i)
+        shape.positions.push_back({within(random), within(random), within(random)});
+    EXPECT_LE(encode(shape).size(), 150000u);
+    EXPECT_LE(encode_within(shape, 1e-3f).size(), 60000u);
+}
+
 TEST(Mesh, equal_meshes_have_equal_bytes) {
     std::mt19937 a(7), b(7);
     EXPECT_EQ(encode(random_mesh(a, true, true, true)), encode(random_mesh(b, true, true, true)));

@@ -240,7 +240,7 @@ private:
     }
     PictureChunk make_one(PictureChunk) {
         PictureChunk out{.request = big(),
-                         .channel = one_of(Channel::indirect),
+                         .channel = one_of(Channel::owner),
                          .format = one_of(PictureFormat::srgb8),
                          .width = 1 + below(max_image_side),
                          .height = 1 + below(max_image_side),
@@ -375,9 +375,10 @@ private:
                 .spec = spec(),
                 .format = one_of(PictureFormat::automatic),
                 .tone_map = {.curve = one_of(ToneCurve::filmic), .exposure = real()},
-                .shown = one_of(Channel::indirect),
+                .shown = one_of(Channel::owner),
                 .error_limit = amount(),
-                .stamp = big()};
+                .stamp = big(),
+                .jpeg_quality = below(101)};
     }
     ViewEnd make_one(ViewEnd) { return {.request = big()}; }
     ViewPicture make_one(ViewPicture) {

@@ -1,15 +1,59 @@
 // Laws of tone mapping: the sRGB transfer inverts, curves rise from black to white, and no value
-// whatever makes an impossible pixel.
+// whatever makes an impossible pixel. False colours rise in lightness, as their legends say.
 
 #include "common/tone_map.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <random>
+
+#include "common/false_colour.h"
 
 namespace tessera {
 namespace {
+
+float lightness(const Rgb8& c) {
+    return 0.2126f * linear_from_srgb(float(c[0]) / 255) +
+           0.7152f * linear_from_srgb(float(c[1]) / 255) +
+           0.0722f * linear_from_srgb(float(c[2]) / 255);
+}
+
+TEST(FalseColour, lightness_rises_with_the_value) {
+    float before = 0;
+    for (int i = 0; i <= 100; ++i) {
+        const float now = lightness(viridis(float(i) / 100));
+        EXPECT_GE(now, before - 2e-3f) << i;
+        before = now;
+    }
+    EXPECT_EQ(viridis(-1), viridis(0));
+    EXPECT_EQ(viridis(2), viridis(1));
+}
+
+TEST(FalseColour, legends_name_places_on_the_map_in_order) {
+    for (const Channel c : {Channel::depth, Channel::path_length, Channel::error}) {
+        float before = -1;
+        for (const LegendMark& mark : legend_of(c)) {
+            EXPECT_GT(mark.position, before);
+            EXPECT_LE(mark.position, 1);
+            before = mark.position;
+        }
+        EXPECT_GE(before, 0.99f);
+        EXPECT_TRUE(std::isnan(map_position(c, std::numeric_limits<float>::infinity())) ||
+                    c == Channel::path_length);
+    }
+    EXPECT_TRUE(legend_of(Channel::albedo).empty());
+}
+
+TEST(FalseColour, workers_differ_well_from_those_beside_them) {
+    for (std::uint64_t number = 0; number < 100; ++number) {
+        const Rgb8 a = colour_of_number(number), b = colour_of_number(number + 1);
+        int difference = 0;
+        for (std::size_t c = 0; c < 3; ++c) difference += std::abs(int(a[c]) - int(b[c]));
+        EXPECT_GT(difference, 100) << number;
+    }
+}
 
 TEST(ToneMap, srgb_transfer_inverts_for_every_byte) {
     for (int i = 0; i <= 255; ++i) {

@@ -123,7 +123,7 @@ def picture(page, good=lambda header: True):
         if isinstance(message, bytes):
             length = struct.unpack("<I", message[:4])[0]
             header = json.loads(message[4:4 + length])
-            page.send({"shown": True})
+            page.send({"shown": True, "seconds": 0.01})
             if good(header):
                 return header, message[4 + length:]
 
@@ -199,6 +199,34 @@ def test_slow_page(cluster):
         while isinstance(message := page.receive(), bytes) or "status" not in message:
             pictures += isinstance(message, bytes)
     assert pictures == 2, pictures
+
+
+def test_motion(programs):
+    """What moves plays, stops, and goes where the slider says; every page sees it."""
+    with Cluster(programs, "museum:64", "--motion", "museum:64", "--passes", "2") as cluster:
+        page, other = cluster.open(), cluster.open()
+        about = hear(page, "about")
+        page.send(view(about, size=[48, 32]))
+        other.send(view(about, size=[48, 32]))
+        page.send({"seek": 2.5})
+        motion = hear(page, "motion")
+        assert motion["seconds"] == 2.5 and not motion["playing"] and motion["duration"] == 8, motion
+        for browser in (page, other):
+            picture(browser, lambda h: h["version"] > about["version"])
+        page.send({"play": True})
+        while not (motion := hear(page, "motion"))["playing"] or motion["seconds"] <= 2.5:
+            pass
+        page.send({"play": False})
+        while hear(page, "motion")["playing"]:
+            pass
+
+
+def test_channels(cluster):
+    page = cluster.open()
+    about = hear(page, "about")
+    for stamp, channel in enumerate(["path length", "error", "tile owner"], 1):
+        page.send(view(about, stamp=stamp, channel=channel))
+        picture(page, lambda h: h["stamp"] == stamp and h["settled"])
 
 
 def test_strangers(cluster):
@@ -355,6 +383,14 @@ def test_browser(program, cluster, screenshots):
         expect_change(browser, VERSION, lambda: browser.value(
             f"{roughness}.value = 0.35, {roughness}.dispatchEvent(new Event('input')), 0"))
         browser.screenshot(screenshots, "desktop")
+        # Channels with their legends.
+        choice = "document.querySelector('#display select')"
+        for channel in ("path length", "tile owner", "error"):
+            expect_change(browser, PICTURE, lambda: browser.value(
+                f"{choice}.value = '{channel}', {choice}.dispatchEvent(new Event('change')), 0"))
+            browser.wait(f"document.querySelector('#legend strong').textContent === '{channel}'")
+        browser.screenshot(screenshots, "error")
+        browser.value(f"{choice}.value = 'picture', {choice}.dispatchEvent(new Event('change')), 0")
         # By touch: turn, pinch, select.
         browser.screen(390, 844, phone=True)
         expect_change(browser, PICTURE, lambda: browser.touch(
@@ -368,12 +404,29 @@ def test_browser(program, cluster, screenshots):
         browser.screenshot(screenshots, "phone-panel")
 
 
+def test_browser_motion(program, cluster, screenshots):
+    """What moves plays, stops, and goes where the slider is put."""
+    with Chromium(program, cluster.url) as browser:
+        browser.screen(1280, 800, phone=False)
+        browser.wait("!document.querySelector('#motion').hidden")
+        expect_change(browser, VERSION, lambda: browser.value("document.querySelector('#play').click()"))
+        browser.wait("document.querySelector('#play').textContent === 'pause'")
+        browser.value("document.querySelector('#play').click()")
+        browser.wait("document.querySelector('#play').textContent === 'play'")
+        slider = "document.querySelector('#seconds')"
+        expect_change(browser, VERSION, lambda: browser.value(
+            f"{slider}.value = 1, {slider}.dispatchEvent(new Event('input')), 0"))
+        browser.wait(f"{slider}.nextElementSibling.textContent === '1.0 s'")
+        browser.screenshot(screenshots, "motion")
+
+
 def main():
     programs = sys.argv[1]
     screenshots = sys.argv[3] if len(sys.argv) > 3 else None
     test_options(programs)
+    test_motion(programs)
     with Cluster(programs, "cornell", "--passes", "4", "--browsers", str(BROWSERS)) as cluster:
-        for test in (test_page, test_view, test_pick_and_edit, test_slow_page, test_strangers, test_nonsense, test_full):
+        for test in (test_page, test_view, test_pick_and_edit, test_slow_page, test_channels, test_strangers, test_nonsense, test_full):
             began = time.monotonic()
             test(cluster)
             print(f"{test.__name__}: passes ({time.monotonic() - began:.1f} s)", flush=True)
@@ -383,6 +436,9 @@ def main():
         return
     with Cluster(programs, os.environ.get("TESSERA_WEB_SCENE", "cornell")) as cluster:
         test_browser(chromium, cluster, screenshots)
+    moving = os.environ.get("TESSERA_WEB_MOTION", "museum:64")
+    with Cluster(programs, moving, "--motion", moving) as cluster:
+        test_browser_motion(chromium, cluster, screenshots)
     print("all good")
 
 

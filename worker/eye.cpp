@@ -193,6 +193,7 @@ std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const Ti
                    pixel.normal = s.n;
                    pixel.depth = path.length;
                    pixel.surface = surface_id(world, hit, path.mirrors);
+                   pixel.path_length = float(path.mirrors + 1);
                });
     return traced + refine_rims(world, camera, tile, pixels);
 }

@@ -36,6 +36,7 @@ struct PixelSample {
     vec3 normal{0};    ///< shading normal there
     float depth = infinity;     ///< path length from the eye to there
     std::uint32_t surface = 0;  ///< hash of instance, object and number of mirrors, never 0
+    float path_length = 0;      ///< segments from the eye to there
 };
 
 /// The first diffuse hit of a pixel's eye ray.

@@ -187,15 +187,15 @@ vec3 value(Channel channel, const PixelSample& s, Integrator integrator) {
             return s.emitted + brdf * s.direct;
         case Channel::indirect:
             return brdf * s.indirect;
-        case Channel::depth:
-        case Channel::surface:
+        default:
             break;
     }
     return vec3(0);
 }
 
 bool summed(Channel channel) {
-    return channel != Channel::normal && channel != Channel::depth && channel != Channel::surface;
+    return channel != Channel::normal && channel != Channel::depth && channel != Channel::surface &&
+           channel != Channel::path_length;
 }
 
 /// Adds one channel of a pass to `plane`, the channel's part of the result. Returns the number of
@@ -206,6 +206,8 @@ std::uint64_t add_channel(Channel channel, Integrator integrator,
     for (std::size_t i = 0; i < samples.size(); ++i) {
         if (channel == Channel::depth) {
             plane[i] = samples[i].depth;
+        } else if (channel == Channel::path_length) {
+            plane[i] = samples[i].path_length;
         } else if (channel == Channel::surface) {
             plane[i] = std::bit_cast<float>(samples[i].surface);
         } else {

@@ -140,6 +140,8 @@ function hear(message) {
   }
   if (message.picked) answerPicks(message.picked);
   if (message.status) showStatus(message.status);
+  if (message.motion) showMotion(message.motion);
+  if (message.coming) comingSince = performance.now();
   if (message.notice) notice(message.notice);
 }
 
@@ -177,7 +179,10 @@ function answerPicks(answer) {
   }
 }
 
+let comingSince = 0;         // ms: when the page was told that a picture comes
+
 async function receive(data) {
+  const seconds = (performance.now() - comingSince) / 1000;
   const headerLength = new DataView(data).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, headerLength)));
   try {
@@ -185,7 +190,7 @@ async function receive(data) {
     if (!picture || header.stamp >= picture.stamp) showPicture(header, bitmap);
     bitmap.close();
   } finally {
-    say({shown: true});
+    say({shown: true, seconds});
   }
 }
 
@@ -306,8 +311,12 @@ const show = {
 };
 
 function buildDisplay(parent) {
-  const channels = ["picture", "direct light", "indirect light", "irradiance", "albedo", "normal", "depth"];
-  choiceRow(parent, "show", channels.map(name => [name, name]), value => { display.channel = value; });
+  const channels = ["picture", "direct light", "indirect light", "irradiance", "albedo", "normal", "depth",
+                    "path length", "error", "tile owner"];
+  choiceRow(parent, "show", channels.map(name => [name, name]), value => {
+    display.channel = value;
+    showLegend();
+  });
   sliderRow(parent, "exposure", [-8, 8, 0.05], x => x.toFixed(2), x => { display.exposure = x; })(0);
   choiceRow(parent, "tone", [["filmic", "filmic"], ["plain", "plain sRGB"]],
     value => { display.filmic = value === "filmic"; });
@@ -316,6 +325,43 @@ function buildDisplay(parent) {
   choiceRow(parent, "light", [["interactive", "interactive"], ["reference", "reference"]],
     value => { display.reference = value === "reference"; });
 }
+
+/** The colours of numbers are viridis, as the server paints them. */
+function showLegend() {
+  const marks = {
+    "depth": ["far", "3 m", "1 m", "1/3 m", "0"],
+    "path length": ["1", "2", "3", "4", "5", "6", "7", "8+"],
+    "error": ["0.0001", "0.001", "0.01", "0.1", "1"],
+  }[display.channel] ?? [];
+  const owners = display.channel === "tile owner" ? cluster?.owners ?? [] : [];
+  element("legend").hidden = !marks.length && !owners.length;
+  element("legend").replaceChildren(
+    make("strong", {textContent: display.channel}),
+    ...(marks.length ? [make("div", {className: "ramp"}),
+                make("div", {className: "marks"}, ...marks.map(textContent => make("span", {textContent})))] : []),
+    ...owners.map(({name, colour}) => {
+      const key = make("span", {className: "key"});
+      key.style.background = `rgb(${colour})`;
+      return make("div", {}, key, name);
+    }));
+}
+
+let cluster = null;  // as the gateway told last
+
+/** {seconds, duration, playing} of what moves by itself. */
+let motion = null;
+
+function showMotion(now) {
+  motion = now;
+  element("motion").hidden = false;
+  element("play").textContent = now.playing ? "pause" : "play";
+  const slider = element("seconds");
+  slider.max = now.duration;
+  if (free(slider)) slider.value = now.seconds;
+  slider.nextElementSibling.textContent = `${now.seconds.toFixed(1)} s`;
+}
+
+const togglePlay = () => motion && say({play: !motion.playing});
 
 function showStatistics() {
   const rate = picture.render_seconds > 0 ? picture.passes / picture.render_seconds : 0;
@@ -334,6 +380,8 @@ function showStatus(status) {
   const many = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
   show.cluster(`${many(status.workers, "worker")}, ${many(status.threads, "thread")}`);
   show.viewers(`${status.viewers}`);
+  cluster = status;
+  if (display.channel === "tile owner") showLegend();
   const now = performance.now();
   while (drawnAt.length && drawnAt[0] < now - 2000) drawnAt.shift();
   show.frames(`${(drawnAt.length / 2).toFixed(1)} per second`);
@@ -519,6 +567,7 @@ const keys = {
   KeyT: togglePanel,
   KeyH: () => { element("help").open = !element("help").open; },
   KeyP: savePicture,
+  Space: togglePlay,
   Home: () => { camera = about.home; },
   Escape: () => say({select: ""}),
   Delete: () => about.selection && say({edit: {delete: about.selection.instance}}),
@@ -547,6 +596,8 @@ function fly(seconds) {
 // ---- Beginning ----------------------------------------------------------------------------------------
 
 element("toggle").onclick = togglePanel;
+element("play").onclick = togglePlay;
+element("seconds").oninput = () => say({seek: Number(element("seconds").value)});
 if (matchMedia("(max-width: 700px)").matches) togglePanel();
 buildDisplay(element("display"));
 connect();
