@@ -2,9 +2,10 @@
 // Illumination in Complex and Highly Occluded Environments" (2003). Paths from the eye ask lights
 // for what they send, past all that is in the way, and add it up for each light.
 //
-// We differ in asking before the frame instead of during the one before: a worker does so for
-// itself, a few thousand paths, and comes to the same bits as every other, so that the first
-// picture is as good as the next and nobody waits for anybody.
+// We differ in asking before the frame, too, and not only during the one before: a worker does so
+// for itself, a few thousand paths, and comes to the same bits as every other, so that the first
+// picture is as good as the next and nobody waits for anybody. What the frame before has found, as
+// its tiles were rendered, comes with the frame.
 #pragma once
 
 #include "worker/camera.h"
