@@ -40,7 +40,7 @@ constexpr float power_share = 0.1f;
 constexpr std::size_t neighbours = 8;
 constexpr float spread_share = 0.5f;
 /// Lights that send less of all light are not active.
-constexpr float least_active = 1e-4f;
+constexpr float least_active = 1e-5f;
 
 constexpr std::uint32_t not_active = ~0u;
 
