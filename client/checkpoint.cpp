@@ -19,7 +19,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 /// Large sums take a while to travel.
-constexpr std::chrono::seconds patience{60};
+constexpr std::chrono::seconds longest_save{60};
 
 /// What stands before the sums, little-endian.
 struct Header {
@@ -123,7 +123,7 @@ void Checkpoint::tick(RenderClient& client) {
 }
 
 void Checkpoint::save_now(RenderClient& client) {
-    const auto deadline = Clock::now() + patience;
+    const auto deadline = Clock::now() + longest_save;
     client.ask_sums();
     while (!save_arrived(client) && client.connected() && Clock::now() < deadline)
         client.poll(std::chrono::milliseconds(100));

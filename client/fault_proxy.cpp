@@ -5,6 +5,7 @@
 #include <deque>
 #include <vector>
 
+#include "common/clock.h"
 #include "common/log.h"
 
 namespace tessera {
@@ -20,10 +21,7 @@ double seconds_of(Clock::time_point time) {
     return std::chrono::duration<double>(time.time_since_epoch()).count();
 }
 
-Clock::time_point time_of(double seconds) {
-    return Clock::time_point(
-        std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds)));
-}
+Clock::time_point time_of(double seconds) { return Clock::time_point(from_seconds(seconds)); }
 
 /// Waits for the timer; that it was cancelled is what is waited for.
 asio::awaitable<void> wait(asio::steady_timer& timer) {

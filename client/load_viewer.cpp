@@ -4,16 +4,13 @@
 #include <cstring>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/scene_sync.h"
 
 namespace tessera {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 std::uint64_t different_pixels(const std::vector<std::uint8_t>& a,
                                const std::vector<std::uint8_t>& b) {

@@ -8,6 +8,7 @@
 #include <random>
 
 #include "client/render_client.h"
+#include "common/clock.h"
 #include "common/connection.h"
 
 namespace tessera {
@@ -23,16 +24,8 @@ constexpr std::uint64_t window = 16;
 /// A server is killed so long after the first edit of its life, at most.
 constexpr double longest_life = 0.15;
 /// What does not come back within this time does not come back.
-constexpr std::chrono::seconds patience{30};
+constexpr std::chrono::seconds longest_restart{30};
 constexpr std::chrono::milliseconds interval{5};
-
-Clock::duration from_seconds(double seconds) {
-    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 std::string mark_name(std::size_t mark) { return fmt::format("mark {}", mark); }
 
@@ -118,7 +111,7 @@ void bench_restarts(const RestartBenchConfig& config, RestartReport& report) {
                          .tick = [&] { config.tick(report.kills); },
                          .reconnects = true});
     const auto wait_for_picture = [&] {
-        const auto deadline = Clock::now() + patience;
+        const auto deadline = Clock::now() + longest_restart;
         while (!viewer.take_picture()) {
             viewer.poll(interval);
             if (Clock::now() > deadline) throw UserError("the viewer sees no picture any more");

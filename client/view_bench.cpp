@@ -17,6 +17,7 @@
 #include "client/local_cluster.h"
 #include "client/render_client.h"
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/contained_load.h"
 
 namespace tessera {
@@ -40,7 +41,7 @@ struct Latencies {
     std::vector<double> frame;  ///< of that, from the first tile handed out to the last one folded
 
     void add(Clock::time_point changed, const ShownPicture& shown) {
-        first.push_back(std::chrono::duration<double>(Clock::now() - changed).count());
+        first.push_back(seconds_since(changed));
         frame.push_back(shown.about.first_seconds);
     }
 };

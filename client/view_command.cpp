@@ -21,7 +21,7 @@
 namespace tessera {
 namespace {
 
-using nlohmann::json;
+using Json = nlohmann::json;
 
 struct ViewOptions {
     std::string scene;
@@ -44,11 +44,11 @@ std::filesystem::path memory_file() {
     return {};
 }
 
-json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
-vec3 vec3_of(const json& v) { return {v.at(0), v.at(1), v.at(2)}; }
+Json json_of(const vec3& v) { return {v.x, v.y, v.z}; }
+vec3 vec3_of(const Json& v) { return {v.at(0), v.at(1), v.at(2)}; }
 
-json json_of(const ViewerMemory& memory) {
-    json cameras = json::object();
+Json json_of(const ViewerMemory& memory) {
+    Json cameras = Json::object();
     for (const auto& [scene, camera] : memory.cameras)
         cameras[scene] = {{"eye", json_of(camera.eye)},
                           {"at", json_of(camera.at)},
@@ -62,9 +62,9 @@ json json_of(const ViewerMemory& memory) {
             {"cameras", cameras}};
 }
 
-ViewerMemory memory_of(const json& from) {
+ViewerMemory memory_of(const Json& from) {
     ViewerMemory memory;
-    const json& window = from.at("window");
+    const Json& window = from.at("window");
     memory.window = {
         .title = {},
         .x = window.at(0),
@@ -86,8 +86,8 @@ ViewerMemory memory_of(const json& from) {
 ViewerMemory recalled(const std::filesystem::path& file) {
     try {
         std::ifstream in(file);
-        return in ? memory_of(json::parse(in)) : ViewerMemory{};
-    } catch (const json::exception&) {
+        return in ? memory_of(Json::parse(in)) : ViewerMemory{};
+    } catch (const Json::exception&) {
         return {};
     }
 }

@@ -73,12 +73,12 @@ std::optional<std::uint32_t> workers_asked_for(std::string_view path) {
     return count;
 }
 
-struct Answer {
+struct Reply {
     const char* code = "200 OK";
     std::string body;
 };
 
-Answer answer_to(std::string_view path, const std::function<Status()>& status) {
+Reply answer_to(std::string_view path, const std::function<Status()>& status) {
     if (path == "/metrics" || path == "/") return {.body = metrics_text(status())};
     // Whoever is answered has come to a server that runs its loop: it listens, its scenes are
     // there.
@@ -131,7 +131,7 @@ std::string metrics_text(const Status& status) {
 }
 
 std::string http_answer(const std::string& head, const std::function<Status()>& status) {
-    const Answer answer = answer_to(path_of(head), status);
+    const Reply answer = answer_to(path_of(head), status);
     return fmt::format(
         "HTTP/1.1 {}\r\nContent-Type: text/plain; version=0.0.4\r\nContent-Length: {}\r\n"
         "Connection: close\r\n\r\n{}",

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "server/frame_trace.h"
 
@@ -23,18 +24,13 @@ constexpr std::uint32_t least_runs_for_error = 4;
 /// Rows that are worth a thread of their own when a run is folded.
 constexpr int least_band_rows = 64;
 
-Clock::duration duration_of(double seconds) {
-    return std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(seconds));
-}
-
 double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
 }
 
-/// Where the discontinuity filter runs, and why. A worker that filters sends the filtered colour
-/// and what the filter took away (server/detail_blend.h), neither of which packs, and traces what
-/// its tiles' windows reach into a second time; so far no tile has been seen that is larger as it
-/// is.
+/// Where the discontinuity filter runs, and why. A worker that filters would send the filtered
+/// colour and what the filter took away (server/detail_blend.h), neither of which packs, and trace
+/// what its tiles' windows reach into a second time.
 std::string filter_sentence(const RenderSettings& settings, double bytes_of_tile) {
     const double side = 1 + double(settings.interleave / 2 * 2) / tile_size;
     constexpr double pixels = tile_size * tile_size;
@@ -202,7 +198,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
         job.trace->add(worker.name(), worker.threads(),
                        fmt::format("tile {}, pass {}{}", tile.task.tile, tile.task.first_pass,
                                    answer == Answer::first ? "" : ", not needed"),
-                       duration_of(tile.seconds), now);
+                       from_seconds(tile.seconds), now);
     worker.busy_seconds += tile.seconds;
     if (answer != Answer::first) return;
     CHECK(job.assembler.add(tile.task, pixels) == Arrival::stored);

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "common/process.h"
 
@@ -253,7 +254,7 @@ bool Server::may_edit(const Hello& hello) const {
 
 Status Server::status() const {
     Status out{.build = TESSERA_VERSION,
-               .uptime_seconds = std::chrono::duration<double>(Clock::now() - started_).count(),
+               .uptime_seconds = seconds_since(started_),
                .viewers = viewers_,
                .frames_in_flight = farm_.frames_in_flight(),
                .frames_done = farm_.frames_done(),

@@ -9,6 +9,7 @@
 #include <mutex>
 
 #include "common/check.h"
+#include "common/clock.h"
 #include "worker/cutout_tracer.h"
 #include "worker/igi.h"
 #include "worker/light_paths.h"
@@ -19,10 +20,6 @@ namespace tessera {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 /// The geometry term is bounded at 1 / (this * diagonal of the scene)^2. Measured on a Cornell box
 /// and a conference room, against time: at 0.14 spots around VPLs make a fifth more error, at 0.4
