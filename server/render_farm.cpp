@@ -30,10 +30,9 @@ double seconds_between(Clock::time_point from, Clock::time_point to) {
     return std::chrono::duration<double>(to - from).count();
 }
 
-/// Where the discontinuity filter runs, and why. A worker that filters sends the filtered colour
-/// and what the filter took away (server/detail_blend.h), neither of which packs, and traces what
-/// its tiles' windows reach into a second time; so far no tile has been seen that is larger as it
-/// is.
+/// Where the discontinuity filter runs, and why. A worker that filters would send the filtered
+/// colour and what the filter took away (server/detail_blend.h), neither of which packs, and trace
+/// what its tiles' windows reach into a second time.
 std::string filter_sentence(const RenderSettings& settings, double bytes_of_tile) {
     const double side = 1 + double(settings.interleave / 2 * 2) / tile_size;
     constexpr double pixels = tile_size * tile_size;

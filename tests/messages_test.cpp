@@ -156,12 +156,16 @@ TEST(Messages, tasks_and_chunks_out_of_range_are_refused) {
     }
     expect_refused<TileTasks>([](TileTasks& m) { m.tasks.resize(max_tiles_together + 1); });
     expect_refused<TileResults>([](TileResults& m) { m.tiles.resize(max_tiles_together + 1); });
-    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.seconds = -infinity}); });
-    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.pixel_bytes = 1}); });
-    expect_refused<TileResults>([](TileResults& m) { m.tiles.push_back({.pixel_bytes = ~0u}); });
+    expect_refused<TileResults>(
+        [](TileResults& m) { m.tiles.push_back({.task = {}, .seconds = -infinity}); });
+    expect_refused<TileResults>(
+        [](TileResults& m) { m.tiles.push_back({.task = {}, .pixel_bytes = 1}); });
+    expect_refused<TileResults>(
+        [](TileResults& m) { m.tiles.push_back({.task = {}, .pixel_bytes = ~0u}); });
     for (const std::vector<LightEstimate>& bad :
          {std::vector<LightEstimate>{{2, 1}, {2, 1}}, std::vector<LightEstimate>{{2, NAN}}})
-        expect_refused<TileResults>([&](TileResults& m) { m.tiles.push_back({.lights = bad}); });
+        expect_refused<TileResults>(
+            [&](TileResults& m) { m.tiles.push_back({.task = {}, .lights = bad}); });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = m.total; });
     expect_refused<BlobChunk>([](BlobChunk& m) { m.offset = ~std::uint64_t(0); });
     expect_refused<PictureChunk>([](PictureChunk& m) { m.total += 1; });
