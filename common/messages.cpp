@@ -175,6 +175,20 @@ void unpack_task(const In& in, TileTask& v) {
 void pack(const TileTask& v, wire::TileTask& out) { pack_task(v, out); }
 void unpack(const wire::TileTask& in, TileTask& v) { unpack_task(in, v); }
 
+void pack(const std::vector<LightEstimate>& v, wire::LightEstimates& out) {
+    for (const LightEstimate& estimate : v) {
+        out.add_light(estimate.light);
+        out.add_radiance(estimate.radiance);
+    }
+}
+void unpack(const wire::LightEstimates& in, std::vector<LightEstimate>& v) {
+    if (in.light_size() != in.radiance_size()) refuse("light estimates lack numbers or values");
+    for (int i = 0; i < in.light_size(); ++i) {
+        if (i > 0 && in.light(i) <= in.light(i - 1)) refuse("light estimates are not in order");
+        v.push_back({in.light(i), amount(in.radiance(i), "radiance")});
+    }
+}
+
 void pack(const TileReport& v, wire::TileReport& out) {
     pack_task(v.task, out);
     out.set_rays(v.rays);
@@ -714,20 +728,6 @@ void unpack(const wire::RenderSettings& in, RenderSettings& v) {
     v.bounces = in.bounces();
     v.seed = in.seed();
     v.track_lights = in.track_lights();
-}
-
-void pack(const std::vector<LightEstimate>& v, wire::LightEstimates& out) {
-    for (const LightEstimate& estimate : v) {
-        out.add_light(estimate.light);
-        out.add_radiance(estimate.radiance);
-    }
-}
-void unpack(const wire::LightEstimates& in, std::vector<LightEstimate>& v) {
-    if (in.light_size() != in.radiance_size()) refuse("light estimates lack numbers or values");
-    for (int i = 0; i < in.light_size(); ++i) {
-        if (i > 0 && in.light(i) <= in.light(i - 1)) refuse("light estimates are not in order");
-        v.push_back({in.light(i), amount(in.radiance(i), "radiance")});
-    }
 }
 
 void pack_channels(ChannelSet v, google::protobuf::RepeatedField<int>& out) {

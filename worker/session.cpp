@@ -252,7 +252,7 @@ void Session::take(const TileTask& task) {
 void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) {
     run_in(
         pools_.render,
-        [frame, task]() -> std::optional<FinishedTile> {
+        [frame, task]() -> FinishedTile {
             auto result = frame->ended ? std::nullopt : frame->renderer->render(task);
             if (!result) return {};
             const ChannelSet channels = tile_channels(frame->spec);
@@ -264,9 +264,9 @@ void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) 
             tile.report.active_lights = result->active_lights;
             return tile;
         },
-        [frame](Session& self, std::optional<FinishedTile> tile) {
-            if (!tile || frame->ended) return;
-            self.finished_.push_back(std::move(*tile));
+        [frame](Session& self, FinishedTile tile) {
+            if (tile.pixels.empty() || frame->ended) return;
+            self.finished_.push_back(std::move(tile));
             if (std::exchange(self.sending_, true)) return;
             // Later, when what else is done already has been heard of.
             asio::post(self.executor_, [session = self.shared_from_this()] {

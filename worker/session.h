@@ -63,7 +63,7 @@ private:
 
     struct FinishedTile {
         TileReport report;
-        Bytes pixels;
+        Bytes pixels;  ///< none: the frame has ended
     };
 
     void handle(const Message& message);
