@@ -37,7 +37,10 @@ picture cornell "Cornell's box: one lamp, and colour that bleeds from wall to wa
 picture office "An office by evening: lamps, gloss, mirrors, glass." office --size 960x540 --passes 6
 picture rooms "A hundred lamps in ten rooms, most of them hidden from any one place." rooms --size 960x540 --passes 4
 picture building "A million triangles and thousands of lamps." building --size 960x540 --passes 4
-picture museum "Triangles that fly apart." museum:4k --size 960x540 --passes 4
+picture museum "Triangles that fly apart." museum --size 960x540 --passes 4
+picture kitchen "A kitchen: mirrors, and six lamps that no ray can hit." kitchen --size 960x540 --passes 4
+picture shading "Wood, marble and brick, computed where rays hit." shading --size 960x540 --passes 4
+picture terrain "661 trees." terrain --size 960x540 --passes 4
 picture robots "Robots on their way." robots --size 960x540 --passes 4
 picture foliage "Leaves: nothing smooth for a filter to work with." foliage --size 960x540 --passes 4
 picture sunflowers "28,000 instances, a billion triangles." sunflowers --size 960x540 --passes 4
