@@ -257,8 +257,12 @@ void Session::render(const std::shared_ptr<Frame>& frame, const TileTask& task) 
             if (!result) return {};
             const ChannelSet channels = tile_channels(frame->spec);
             const auto pixels = result->data.size() / std::size_t(floats_per_pixel(channels));
-            FinishedTile tile{{task, result->rays, result->sanitised, result->seconds},
-                              pack_tile(channels, pixels, result->data)};
+            FinishedTile tile;
+            tile.pixels = pack_tile(channels, pixels, result->data);
+            tile.report.task = task;
+            tile.report.rays = result->rays;
+            tile.report.sanitised = result->sanitised;
+            tile.report.seconds = result->seconds;
             tile.report.pixel_bytes = std::uint32_t(tile.pixels.size());
             tile.report.lights = std::move(result->lights);
             tile.report.active_lights = result->active_lights;
