@@ -211,7 +211,27 @@ private:
         out.emission = colour(m.emissiveFactor, vec3(0)) * float(strength);
         out.emission_map = map(m.emissiveTexture, true);
         out.two_sided_emission = m.doubleSided;
+        read_shader(m.extras, out);
         return out;
+    }
+
+    /// As save_glb() writes it; what is written otherwise is somebody else's.
+    static void read_shader(const Value& extras, Material& out) {
+        const Value* shader = member(extras, "shader");
+        if (shader == nullptr || !shader->IsString()) return;
+        out.shader = shader->Get<std::string>();
+        const Value* parameters = member(extras, "shader_parameters");
+        if (parameters == nullptr) return;
+        for (std::size_t i = 0; i < std::min(parameters->ArrayLen(), most_shader_parameters); ++i) {
+            const Value& parameter = parameters->Get(int(i));
+            const Value* name = member(parameter, "name");
+            const Value* value = member(parameter, "value");
+            if (name == nullptr || !name->IsString() || value == nullptr || value->ArrayLen() != 3)
+                continue;
+            vec3 numbers;
+            for (int c = 0; c < 3; ++c) numbers[c] = float(value->Get(c).GetNumberAsDouble());
+            out.shader_parameters.push_back({name->Get<std::string>(), numbers});
+        }
     }
 
     static void read_alpha(const tinygltf::Material& m, Material& out) {

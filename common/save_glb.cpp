@@ -207,6 +207,10 @@ private:
         if (m.alpha_mode != AlphaMode::opaque)
             out["alphaMode"] = m.alpha_mode == AlphaMode::mask ? "MASK" : "BLEND";
         if (m.alpha_mode == AlphaMode::mask) out["alphaCutoff"] = m.alpha_cutoff;
+        if (!m.shader.empty()) out["extras"]["shader"] = m.shader;
+        for (const ShaderParameter& p : m.shader_parameters)
+            out["extras"]["shader_parameters"].push_back(
+                {{"name", p.name}, {"value", to_json(p.value)}});
         append("materials", std::move(out));
     }
 

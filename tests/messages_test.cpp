@@ -145,7 +145,7 @@ TEST(Messages, unknown_enumerators_are_refused) {
     expect_refused<Hello>([](Hello& m) { m.role = Role(255); });
     expect_refused<FrameRequest>([](FrameRequest& m) { m.format = PictureFormat(7); });
     expect_refused<FrameBegin>([](FrameBegin& m) { m.spec.settings.tracer = TracerKind(2); });
-    expect_refused<PictureChunk>([](PictureChunk& m) { m.channel = Channel(8); });
+    expect_refused<PictureChunk>([](PictureChunk& m) { m.channel = Channel(channel_count); });
 }
 
 TEST(Messages, tasks_and_chunks_out_of_range_are_refused) {
