@@ -223,7 +223,7 @@ SceneBundle generate_kitchen() {
         bundle.scene.lights.push_back(
             {.name = std::string("lamp ") + char('1' + i),
              .position = {0.9f + 1.7f * float(i % 3), room.y - 0.25f, i < 3 ? 1.3f : 3.3f},
-             .intensity = {3.0f, 2.7f, 2.2f}});
+             .intensity = {0.9f, 0.8f, 0.66f}});
     bundle.scene.cameras.push_back(
         {.name = "door", .eye = {4.75f, 1.62f, 4.15f}, .at = {2.35f, 0.88f, 1.2f}, .fov_y = 58});
     return bundle;
