@@ -42,12 +42,13 @@ printf '%8s %9s %22s %20s %17s\n' workers frames/s "frame p50 / p95 ms" "kB/fram
 first= last=
 for count in "${counts[@]}"; do
     mkfifo "$work/greeting"
-    on "$a" "$bin/tessera-server" --listen 10.74.1.1:7411 --keys "$work/keys/server" --log warning \
+    # Not by on(): the number must be the program's own.
+    ip netns exec "$a" "$bin/tessera-server" --listen 10.74.1.1:7411 --keys "$work/keys/server" --log warning \
         >"$work/greeting" 2>"$work/server.log" &
     server=$!
     read -r _ <"$work/greeting" || fail "the server does not listen"
     rm "$work/greeting"
-    on "$b" "$bin/tessera" bench cluster "$scene" --synthetic --server 10.74.1.1:7411 "${keys[@]}" --workers "$count" \
+    ip netns exec "$b" "$bin/tessera" bench cluster "$scene" --synthetic --server 10.74.1.1:7411 "${keys[@]}" --workers "$count" \
         --viewers 0 --threads "$threads" --tile-ms "$tile" --seconds 3600 >"$work/workers.log" 2>&1 &
     workers=$!
     until on "$a" "$bin/tessera" status --server 10.74.1.1:7411 --keys "$work/keys/viewer" --json 2>/dev/null |
