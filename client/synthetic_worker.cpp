@@ -36,16 +36,18 @@ std::shared_ptr<const Noise> make_noise() {
 /// What a tile takes, in units of the mean; the same in every frame.
 double cost_of(const TileTask& task, double spread) {
     std::mt19937 random(task.tile);
-    return std::lognormal_distribution<>(-spread * spread / 2, spread)(random);
+    const double whole = std::lognormal_distribution<>(-spread * spread / 2, spread)(random);
+    return task.part == 0 ? whole : whole / quarters;
 }
 
 /// Appends pixels that depend on the task alone, and not on the number of the frame; packed, but no
 /// smaller for it.
 std::uint32_t append_pixels(const FrameSpec& spec, const TileTask& task, const Noise& noise,
                             Bytes& out) {
-    const std::size_t pixels = tile_rect(spec.size, task.tile).pixels();
+    const std::size_t pixels = rect_of(spec.size, task).pixels();
     const std::size_t begin = out.size();
-    std::size_t from = (task.tile * 769u + task.first_pass * 131u) % (noise.size() / 2);
+    std::size_t from =
+        (task.tile * 769u + task.first_pass * 131u + task.part * 61u) % (noise.size() / 2);
     for (int c = 0; c < channel_count; ++c) {
         if (!tile_channels(spec).has(Channel(c))) continue;
         const auto values = std::as_bytes(

@@ -163,6 +163,7 @@ void pack_task(const TileTask& v, Out& out) {
     out.set_tile(v.tile);
     out.set_first_pass(v.first_pass);
     out.set_pass_count(v.pass_count);
+    out.set_part(v.part);
 }
 template <class In>
 void unpack_task(const In& in, TileTask& v) {
@@ -170,6 +171,7 @@ void unpack_task(const In& in, TileTask& v) {
     v.tile = in_range(in.tile(), 0u, max_tiles - 1, "tile");
     v.first_pass = in_range(in.first_pass(), 0u, max_passes - 1, "first_pass");
     v.pass_count = in_range(in.pass_count(), 1u, max_passes - v.first_pass, "pass_count");
+    v.part = in_range(in.part(), 0u, quarters, "part");
 }
 
 void pack(const TileTask& v, wire::TileTask& out) { pack_task(v, out); }

@@ -33,7 +33,7 @@
 namespace tessera {
 
 /// Raised when a message changes meaning; peers of different versions refuse each other.
-inline constexpr std::uint32_t protocol_version = 4;
+inline constexpr std::uint32_t protocol_version = 5;
 
 /// The peer broke the protocol: closes its session and no other.
 struct ProtocolError : std::runtime_error {

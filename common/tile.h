@@ -1,14 +1,16 @@
 // What scheduler, frame assembler and renderer share: settings, frames, 16x16 tiles and their
-// results, all as values.
+// quarters, and their results, all as values.
 //
 // A *pass* traces one eye ray per pixel, jittered inside the pixel, with light samples of its own.
 // A frame is the mean of its passes, always added up in the order of their numbers, so that the
-// picture is the same bits whoever renders which tile. A *task* is one tile in a run of consecutive
-// passes.
+// picture is the same bits whoever renders which tile. A *task* is one tile, or a quarter of one,
+// in a run of consecutive passes; how tiles are cut changes no bit either.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -18,6 +20,8 @@
 namespace tessera {
 
 inline constexpr int tile_size = 16;  ///< pixels; Wald 2004, 8.1.2.1
+inline constexpr int quarter_size = tile_size / 2;
+inline constexpr std::uint32_t quarters = 4;  ///< of a tile that is cut
 
 enum class Integrator : std::uint8_t { igi, path };
 enum class TracerKind : std::uint8_t { kdtree, embree };
@@ -88,6 +92,18 @@ struct LightEstimate {
     bool operator==(const LightEstimate&) const = default;
 };
 
+/// Adds to `sum` what lights send into one more part of it; both by number. In the order of parts a
+/// tile gets the same bits whole and cut.
+inline void add_estimates(std::span<const LightEstimate> part, std::vector<LightEstimate>& sum) {
+    for (const LightEstimate& e : part) {
+        const auto at = std::ranges::lower_bound(sum, e.light, {}, &LightEstimate::light);
+        if (at != sum.end() && at->light == e.light)
+            at->radiance += e.radiance;
+        else
+            sum.insert(at, e);
+    }
+}
+
 /// One picture to be made: scene version, camera, size, settings and what was found out before
 /// decide every bit of it.
 struct FrameSpec {
@@ -147,15 +163,37 @@ inline Rect tile_rect(ImageSize s, std::uint32_t tile) {
     return {x, y, std::min(x + tile_size, s.width), std::min(y + tile_size, s.height)};
 }
 
-/// One tile in the passes first_pass .. first_pass + pass_count - 1 of a frame.
+/// Quarters 1 to 4 of a tile, row by row; 0 is all of it.
+inline Rect part_rect(ImageSize s, std::uint32_t tile, std::uint32_t part) {
+    const Rect whole = tile_rect(s, tile);
+    if (part == 0) return whole;
+    const int x = whole.x0 + int(part - 1) % 2 * quarter_size;
+    const int y = whole.y0 + int(part - 1) / 2 * quarter_size;
+    return {x, y, std::min(x + quarter_size, whole.x1), std::min(y + quarter_size, whole.y1)};
+}
+/// Whether every quarter has pixels.
+inline bool can_be_cut(ImageSize s, std::uint32_t tile) {
+    const Rect whole = tile_rect(s, tile);
+    return whole.width() > quarter_size && whole.height() > quarter_size;
+}
+/// The quarter in which a pixel of the picture lies, from 0.
+inline std::uint32_t quarter_of(int x, int y) {
+    return std::uint32_t(x / quarter_size % 2 + y / quarter_size % 2 * 2);
+}
+
+/// One tile, or a quarter, in the passes first_pass .. first_pass + pass_count - 1 of a frame.
 struct TileTask {
     std::uint64_t frame = 0;
     std::uint32_t tile = 0;
     std::uint32_t first_pass = 0;
     std::uint32_t pass_count = 1;
+    std::uint32_t part = 0;  ///< 0: the whole tile; quarters only of tiles that can be cut
 
     auto operator<=>(const TileTask&) const = default;
 };
+inline Rect rect_of(ImageSize s, const TileTask& task) {
+    return part_rect(s, task.tile, task.part);
+}
 
 /// The answer to a task as it is rendered; common/tile_codec.h packs it. `data` holds the channels
 /// of tile_channels(spec) in order, each planar by channel and interleaved within (rgbrgb...), rows

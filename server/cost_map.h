@@ -20,6 +20,8 @@ public:
     explicit CostMap(std::vector<float> before)
         : predicted_(std::move(before)), measured_(predicted_.size()) {}
 
+    /// Whether there was a frame to learn from.
+    bool is_known() const { return !predicted_.empty(); }
     float predicted(std::uint32_t tile) const { return predicted_.empty() ? 1 : predicted_[tile]; }
     void measure(std::uint32_t tile, float cost);
     /// Tiles in the order to render them: expensive ones first, in the order of the picture among

@@ -1,6 +1,7 @@
 #include "server/frame.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
 
@@ -128,8 +129,13 @@ void FrameSums::fold_detail(const RunBuffer& run, std::span<const float> irradia
 
 /// Each light's estimates are added up tile by tile, and so to the same bits always.
 void FrameSums::fold_lights(const RunBuffer& run) {
-    for (const auto& tile : run.lights)
+    std::vector<LightEstimate> tile;
+    for (std::size_t i = 0; i < run.lights.size(); ++i) {
+        add_estimates(run.lights[i], tile);
+        if ((i + 1) % quarters != 0) continue;
         for (const LightEstimate& e : tile) lights_[e.light] += double(e.radiance);
+        tile.clear();
+    }
     light_passes_ += run.passes;
 }
 
@@ -175,11 +181,13 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
 
 void FrameSums::fold_owners(const RunBuffer& run, int y0, int y1) {
     std::vector<float>& owners = extra_.at(Channel::owner);
-    const std::size_t width = std::size_t(spec_.size.width);
     for (int y = y0; y < y1; ++y)
-        for (std::size_t x = 0; x < width; ++x)
-            owners[std::size_t(y) * width + x] =
-                run.owners[std::size_t(y / tile_size) * tiles_across(spec_.size) + x / tile_size];
+        for (int x = 0; x < spec_.size.width; ++x) {
+            const std::uint32_t tile =
+                std::uint32_t(y / tile_size) * tiles_across(spec_.size) + x / tile_size;
+            owners[std::size_t(y) * std::size_t(spec_.size.width) + std::size_t(x)] =
+                run.owners[quarters * tile + quarter_of(x, y)];
+        }
 }
 
 void FrameSums::finish_run(const RunBuffer& run) {
@@ -309,7 +317,7 @@ FrameAssembler::FrameAssembler(const FrameSpec& spec, std::uint32_t first_run,
       channels_(tile_channels(spec)),
       runs_(run_count(spec.settings)),
       folded_(first_run),
-      tasks_done_(std::uint64_t(first_run) * tile_count(spec.size)),
+      quarters_done_(std::uint64_t(first_run) * quarters * tile_count(spec.size)),
       pool_(std::move(pool)) {
     const std::size_t run_bytes =
         spec.size.pixels() * std::size_t(floats_per_pixel(channels_)) * sizeof(float);
@@ -321,7 +329,7 @@ std::uint32_t FrameAssembler::run_limit() const { return std::min(folded_ + wind
 
 bool FrameAssembler::fits(const TileTask& task, std::span<const std::byte> pixels) const {
     return run_of(spec_, task) &&
-           is_packed_tile(channels_, tile_rect(spec_.size, task.tile).pixels(), pixels);
+           is_packed_tile(channels_, rect_of(spec_.size, task).pixels(), pixels);
 }
 
 Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pixels,
@@ -332,13 +340,21 @@ Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pix
     if (run >= run_limit()) return Arrival::not_wanted;
 
     RunBuffer& buffer = buffer_of(run);
-    if (buffer.tile_here[task.tile]) return Arrival::duplicate;
-    unpack_tile(channels_, pixels, tile_rect(spec_.size, task.tile), spec_.size, buffer.data);
-    buffer.lights[task.tile] = std::move(lights);
-    buffer.owners[task.tile] = float(owner);
-    buffer.tile_here[task.tile] = true;
-    --buffer.tiles_missing;
-    ++tasks_done_;
+    std::uint8_t& here = buffer.quarters_here[task.tile];
+    const std::uint8_t all = (1u << quarters) - 1;
+    const std::uint8_t these = task.part == 0 ? all : std::uint8_t(1u << (task.part - 1));
+    if (here & these) return Arrival::duplicate;
+    unpack_tile(channels_, pixels, rect_of(spec_.size, task), spec_.size, buffer.data);
+    for (std::uint32_t q = 0; q < quarters; ++q)
+        if (these >> q & 1) buffer.owners[quarters * task.tile + q] = float(owner);
+    if (!lights.empty()) {
+        buffer.lights.resize(std::size_t(quarters) * tile_count(spec_.size));
+        buffer.lights[quarters * task.tile + std::max(task.part, 1u) - 1] = std::move(lights);
+    }
+    here |= these;
+    const auto count = std::uint32_t(std::popcount(these));
+    buffer.quarters_missing -= count;
+    quarters_done_ += count;
     return Arrival::stored;
 }
 
@@ -347,17 +363,16 @@ RunBuffer& FrameAssembler::buffer_of(std::uint32_t run) {
     RunBuffer buffer;
     buffer.run = run;
     buffer.passes = passes_of_run(spec_.settings, run);
-    buffer.tiles_missing = tile_count(spec_.size);
-    buffer.tile_here.assign(tile_count(spec_.size), false);
-    buffer.owners.resize(tile_count(spec_.size));
-    buffer.lights.assign(tile_count(spec_.size), {});
+    buffer.quarters_missing = quarters * tile_count(spec_.size);
+    buffer.quarters_here.assign(tile_count(spec_.size), 0);
+    buffer.owners.resize(buffer.quarters_missing);
     buffer.data = pool_->take(spec_.size.pixels() * std::size_t(floats_per_pixel(channels_)));
     return open_.emplace(run, std::move(buffer)).first->second;
 }
 
 std::optional<RunBuffer> FrameAssembler::take_complete() {
     const auto next = open_.find(folded_);
-    if (folding_ || next == open_.end() || next->second.tiles_missing > 0) return std::nullopt;
+    if (folding_ || next == open_.end() || next->second.quarters_missing > 0) return std::nullopt;
     folding_ = true;
     RunBuffer run = std::move(next->second);
     open_.erase(next);
@@ -377,7 +392,7 @@ void FrameAssembler::limit_passes(std::uint32_t passes) {
     const std::uint32_t begun = std::max(folded_ + (folding_ ? 1 : 0), 1u);
     runs_ = std::min(std::max(wanted, begun), runs_);
     for (auto run = open_.lower_bound(runs_); run != open_.end(); run = open_.erase(run))
-        tasks_done_ -= tile_count(spec_.size) - run->second.tiles_missing;
+        quarters_done_ -= quarters * tile_count(spec_.size) - run->second.quarters_missing;
 }
 
 }  // namespace tessera

@@ -25,11 +25,12 @@ namespace tessera {
 struct RunBuffer {
     std::uint32_t run = 0;
     std::uint32_t passes = 0;
-    std::uint32_t tiles_missing = 0;
-    std::vector<bool> tile_here;
-    std::vector<float> owners;  ///< by tile: number of the worker
+    std::uint32_t quarters_missing = 0;
+    std::vector<std::uint8_t> quarters_here;  ///< by tile: a bit for each
+    std::vector<float> owners;                ///< by quarter: number of the worker
     std::vector<float> data;
-    std::vector<std::vector<LightEstimate>> lights;  ///< of each tile; empty: not tracked
+    /// By quarter, a whole tile's in its first; none: not tracked.
+    std::vector<std::vector<LightEstimate>> lights;
 };
 
 /// What a frame adds up to so far.
@@ -142,8 +143,8 @@ public:
     std::uint32_t run_limit() const;
     std::uint32_t window() const { return window_; }
 
-    std::uint64_t tasks_done() const { return tasks_done_; }
-    std::uint64_t tasks_total() const { return std::uint64_t(runs_) * tile_count(spec_.size); }
+    std::uint64_t tiles_done() const { return quarters_done_ / quarters; }
+    std::uint64_t tiles_total() const { return std::uint64_t(runs_) * tile_count(spec_.size); }
 
 private:
     RunBuffer& buffer_of(std::uint32_t run);
@@ -154,7 +155,7 @@ private:
     std::uint32_t window_;
     std::uint32_t folded_;
     bool folding_ = false;
-    std::uint64_t tasks_done_;
+    std::uint64_t quarters_done_;
     std::map<std::uint32_t, RunBuffer> open_;  ///< runs in flight or complete, not yet taken
     std::shared_ptr<BufferPool> pool_;
 };

@@ -42,6 +42,10 @@ std::string filter_sentence(const RenderSettings& settings, double bytes_of_tile
         1e-3 * bytes_of_tile, 1e-3 * 2 * 3 * sizeof(float) * pixels, side * side);
 }
 
+std::string quarter_name(const TileTask& task) {
+    return task.part == 0 ? "" : fmt::format(", quarter {}", task.part);
+}
+
 }  // namespace
 
 /// One frame on its way.
@@ -61,6 +65,7 @@ struct RenderFarm::Job {
     std::uint64_t rays = 0;
     std::uint64_t sanitised = 0;
     std::uint64_t pixel_bytes = 0;  ///< of tiles as they came
+    double tiles = 0;               ///< with those bytes
     std::uint32_t active_lights = 0;
     std::map<std::uint64_t, WorkerShare> shares;
     Clock::time_point fold_began;
@@ -198,10 +203,11 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
             fmt::format("answers with a tile that is none of frame {}", tile.task.frame));
     const Answer answer = scheduler_.completed(worker.id(), tile.task, now, tile.seconds);
     if (job.trace)
-        job.trace->add(worker.name(), worker.threads(),
-                       fmt::format("tile {}, pass {}{}", tile.task.tile, tile.task.first_pass,
-                                   answer == Answer::first ? "" : ", not needed"),
-                       from_seconds(tile.seconds), now);
+        job.trace->add(
+            worker.name(), worker.threads(),
+            fmt::format("tile {}{}, pass {}{}", tile.task.tile, quarter_name(tile.task),
+                        tile.task.first_pass, answer == Answer::first ? "" : ", not needed"),
+            from_seconds(tile.seconds), now);
     worker.busy_seconds += tile.seconds;
     if (answer != Answer::first) return;
     CHECK(job.assembler.add(tile.task, pixels, worker.id(), tile.lights) == Arrival::stored);
@@ -210,6 +216,7 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
     job.rays += tile.rays;
     job.sanitised += tile.sanitised;
     job.pixel_bytes += tile.pixel_bytes;
+    job.tiles += tile.task.part == 0 ? 1 : 1.0 / quarters;
     job.active_lights = std::max(job.active_lights, tile.active_lights);
     WorkerShare& share = job.shares[worker.id()];
     ++share.tiles;
@@ -485,8 +492,8 @@ void RenderFarm::end_job(std::uint64_t frame) {
 
 void RenderFarm::report(Job& job) {
     const FrameProgress progress{.request = job.request.request,
-                                 .tiles_done = job.assembler.tasks_done(),
-                                 .tiles_total = job.assembler.tasks_total(),
+                                 .tiles_done = job.assembler.tiles_done(),
+                                 .tiles_total = job.assembler.tiles_total(),
                                  .passes_done = job.sums->passes(),
                                  .workers = ready_workers(job),
                                  .error_estimate = job.error_estimate};
@@ -533,14 +540,12 @@ FrameStatistics RenderFarm::statistics(const Job& job) const {
         out.modelled = state->report.modelled;
         out.left_out = state->report.left_out;
     }
-    std::uint64_t tiles = 0;
-    for (const auto& [id, share] : job.shares) {
-        tiles += share.tiles;
+    for (const auto& [id, share] : job.shares)
         if (share.tiles > 0) out.workers.push_back(share);
-    }
     const RenderSettings& settings = job.request.spec.settings;
-    if (tiles > 0 && settings.integrator == Integrator::igi && settings.filter != FilterPlace::off)
-        out.modelled.push_back(filter_sentence(settings, double(job.pixel_bytes) / double(tiles)));
+    if (job.tiles > 0 && settings.integrator == Integrator::igi &&
+        settings.filter != FilterPlace::off)
+        out.modelled.push_back(filter_sentence(settings, double(job.pixel_bytes) / job.tiles));
     return out;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 
 #include "common/check.h"
 #include "server/runs.h"
@@ -13,6 +14,8 @@ namespace {
 constexpr double newest_weight = 0.1;
 /// No task takes less, whatever a worker says.
 constexpr double least_task_seconds = 1e-6;
+/// Times the mean that a tile may well cost of which nothing is known.
+constexpr double doubt = 2;
 /// Parts of a task's time after which what is known of all workers together is summed up again.
 constexpr double crew_refresh = 1.0 / 8;
 constexpr auto least_crew_refresh = std::chrono::microseconds(100);
@@ -20,6 +23,8 @@ constexpr auto least_crew_refresh = std::chrono::microseconds(100);
 Duration seconds(double s) {
     return std::chrono::duration_cast<Duration>(std::chrono::duration<double>(s));
 }
+
+std::uint32_t quarters_in(const TileTask& task) { return task.part == 0 ? quarters : 1; }
 
 void update_mean(double& mean, double value) {
     mean += (mean == 0 ? 1 : newest_weight) * (value - mean);
@@ -101,7 +106,7 @@ void Scheduler::set_limit(Slot worker) {
 
 void Scheduler::wait(Slot worker) {
     Worker& w = workers_[worker];
-    if (w.waiting || w.leases >= w.limit) return;
+    if (w.waiting || w.quarters_held >= quarters * w.limit) return;
     w.waiting = true;
     waiting_.push_back(worker);
 }
@@ -130,7 +135,7 @@ void Scheduler::add_frame(const FrameSpec& spec, std::uint32_t run_limit, std::u
     frame.costs = memory_.recall(spec);
     frame.order = frame.costs.order();
     frame.next_run = frame.first_open = first_run;
-    frame.undone = std::uint64_t(frame.runs - first_run) * tile_count(spec.size);
+    frame.work_left = double(frame.runs - first_run) * tile_count(spec.size);
     CHECK(frames_.emplace(spec.frame, std::move(frame)).second);
 }
 
@@ -144,14 +149,12 @@ void Scheduler::limit_runs(std::uint64_t frame, std::uint32_t runs) {
     const std::uint32_t tiles = tile_count(f.spec.size);
     const std::uint32_t opened = f.first_open + std::uint32_t(f.open.size());
     if (f.runs > std::max(runs, opened))
-        f.undone -= std::uint64_t(f.runs - std::max(runs, opened)) * tiles;
+        f.work_left -= double(f.runs - std::max(runs, opened)) * tiles;
     f.runs = std::min(f.runs, runs);
     f.run_limit = std::min(f.run_limit, runs);
     while (!f.open.empty() && f.first_open + f.open.size() > runs) {
-        for (Task& task : f.open.back().tasks) {
-            if (!task.done) --f.undone;
-            end_leases(f, task);
-        }
+        f.work_left -= work_left(f, f.open.back());
+        for (Task& task : f.open.back().tasks) end_leases(f, task);
         f.open.pop_back();
     }
 }
@@ -177,16 +180,57 @@ bool Scheduler::answered(const Frame& frame, Slot worker) {
     return worker < frame.answered.size() && frame.answered[worker];
 }
 
-Scheduler::Task* Scheduler::find(Frame& frame, std::uint32_t run, std::uint32_t tile) {
-    if (run < frame.first_open || run - frame.first_open >= frame.open.size()) return nullptr;
-    return &frame.open[run - frame.first_open].tasks[tile];
+float Scheduler::cost_of(const Frame& frame, const TileTask& name) {
+    return frame.costs.predicted(name.tile) * (name.part == 0 ? 1 : 1.0f / quarters);
 }
 
-Scheduler::Task& Scheduler::open_task(Frame& frame, std::uint32_t run, std::uint32_t tile) {
+/// Null as well for a tile that is cut, and for quarters of one that is not.
+Scheduler::Task* Scheduler::find(Frame& frame, std::uint32_t run, const TileTask& name) {
+    if (run < frame.first_open || run - frame.first_open >= frame.open.size()) return nullptr;
+    std::vector<Task>& tasks = frame.open[run - frame.first_open].tasks;
+    Task& tile = tasks[name.tile];
+    if ((tile.quarters == none) != (name.part == 0)) return nullptr;
+    return name.part == 0 ? &tile : &tasks[tile.quarters + name.part - 1];
+}
+
+Scheduler::Run& Scheduler::open_run(Frame& frame, std::uint32_t run) {
     const std::uint32_t tiles = tile_count(frame.spec.size);
     while (frame.first_open + frame.open.size() <= run)
         frame.open.push_back({.tasks = std::vector<Task>(tiles), .unsettled = tiles});
-    return *find(frame, run, tile);
+    return frame.open[run - frame.first_open];
+}
+
+void Scheduler::cut(Run& run, std::uint32_t tile) {
+    run.tasks[tile].quarters = std::uint32_t(run.tasks.size());
+    run.tasks.resize(run.tasks.size() + quarters);
+    run.unsettled += quarters - 1;
+}
+
+double Scheduler::work_left(const Frame& frame, const Run& run) {
+    double left = 0;
+    for (std::uint32_t tile = 0; tile < tile_count(frame.spec.size); ++tile) {
+        const Task& whole = run.tasks[tile];
+        const double cost = double(frame.costs.predicted(tile));
+        if (whole.quarters == none) left += whole.done ? 0 : cost;
+        for (std::uint32_t q = 0; q < (whole.quarters == none ? 0 : quarters); ++q)
+            left += run.tasks[whole.quarters + q].done ? 0 : cost / quarters;
+    }
+    return left;
+}
+
+/// Whether the tile would still be under way when there is little else left to do, and its quarters
+/// are large enough for the server. What others have to do counts: nobody is idle meanwhile.
+bool Scheduler::pays_to_cut(const Frame& frame, std::uint32_t tile) const {
+    const Crew& crew = frame.crew;
+    if (crew.speed == 0 || !can_be_cut(frame.spec.size, tile)) return false;
+    const double cost = double(frame.costs.predicted(tile));
+    const double server_seconds = std::chrono::duration<double>(config_.server_time).count();
+    if (cost / quarters * crew.task_seconds < crew.threads * server_seconds) return false;
+    double left = 0;
+    for (const auto& [id, other] : frames_)
+        if (&other == &frame || has_work(other)) left += other.work_left;
+    const double feared = cost * (frame.costs.is_known() ? 1 : doubt);
+    return config_.fineness * feared > left / crew.threads;
 }
 
 // ---- Leases -------------------------------------------------------------------------------------
@@ -217,7 +261,7 @@ void Scheduler::lease(Slot worker, Frame& frame, const TileTask& name, TimePoint
     }
     Worker& w = workers_[worker];
     Lease& lease = leases_[index];
-    const float cost = frame.costs.predicted(name.tile);
+    const float cost = cost_of(frame, name);
     lease = {.worker = worker,
              .next = none,
              .task = name,
@@ -227,11 +271,13 @@ void Scheduler::lease(Slot worker, Frame& frame, const TileTask& name, TimePoint
              .expired = false,
              .issued = now};
     ++w.leases;
+    w.quarters_held += quarters_in(name);
     w.work_held += cost;
     frame.work_held += cost;
 
     // Append it to those of the task.
-    Task& task = open_task(frame, lease.run, name.tile);
+    open_run(frame, lease.run);
+    Task& task = *find(frame, lease.run, name);
     if (task.handed_out) ++frame.reissued;
     task.handed_out = true;
     std::uint32_t* link = &task.leases;
@@ -249,6 +295,7 @@ void Scheduler::end_lease(Frame& frame, Task& task, std::uint32_t index) {
 
     Worker& w = workers_[lease.worker];
     --w.leases;
+    w.quarters_held -= quarters_in(lease.task);
     w.expired -= lease.expired;
     w.work_held = w.leases == 0 ? 0 : std::max(0.0, w.work_held - lease.cost);
     frame.work_held = std::max(0.0, frame.work_held - lease.cost);
@@ -272,7 +319,7 @@ void Scheduler::end_leases_of(Slot worker, const Frame* only) {
             continue;
         const TileTask name = leases_[l].task;
         Frame& frame = frames_.at(name.frame);
-        Task& task = *find(frame, leases_[l].run, name.tile);
+        Task& task = *find(frame, leases_[l].run, name);
         end_lease(frame, task, l);
         queue_if_orphaned(frame, name, task);
     }
@@ -293,7 +340,7 @@ void Scheduler::expire(TimePoint now) {
         ++workers_[lease.worker].expired;
         workers_[lease.worker].overdue = true;
         crew_changed();
-        queue_if_orphaned(frame, lease.task, *find(frame, lease.run, lease.task.tile));
+        queue_if_orphaned(frame, lease.task, *find(frame, lease.run, lease.task));
     }
 }
 
@@ -305,17 +352,20 @@ Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoin
     if (found == frames_.end()) return Answer::unknown;
     Frame& frame = found->second;
     const std::optional<std::uint32_t> run = run_of(frame.spec, name);
-    Task* task = run ? find(frame, *run, name.tile) : nullptr;
+    Task* task = run ? find(frame, *run, name) : nullptr;
     if (!task) return Answer::unknown;
     std::uint32_t index = task->leases;
     while (index != none && leases_[index].worker != slot->second) index = leases_[index].next;
     if (index == none) return Answer::unknown;
 
     workers_[slot->second].overdue = false;
-    learn(slot->second, frame, leases_[index], now, render_seconds);
+    const float cost = learn(slot->second, frame, leases_[index], now, render_seconds);
     const Answer answer = task->done ? Answer::duplicate : Answer::first;
-    if (!task->done) --frame.undone;
     task->done = true;
+    if (answer == Answer::first) {
+        frame.work_left = std::max(0.0, frame.work_left - double(cost_of(frame, name)));
+        measure(frame, *run, name, cost);
+    }
     end_lease(frame, *task, index);
     while (!frame.open.empty() && frame.open.front().unsettled == 0) {
         frame.open.pop_front();
@@ -326,19 +376,16 @@ Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoin
 
 // ---- Paces --------------------------------------------------------------------------------------
 
-void Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
-                      std::optional<double> render_seconds) {
+/// Returns what the task has cost.
+float Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
+                       std::optional<double> render_seconds) {
     Worker& w = workers_[worker];
     const double took = std::chrono::duration<double>(now - lease.issued).count();
     update_mean(frame.task_seconds, took);
     const double spent = std::min(render_seconds ? std::max(*render_seconds, least_task_seconds)
                                                  : took * lease.cost / lease.ahead,
                                   took);
-    if (spent > 0) {
-        const bool known = w.task_seconds > 0;
-        update_mean(w.task_seconds, spent / lease.cost);
-        frame.costs.measure(lease.task.tile, float(spent / (known ? w.task_seconds : spent)));
-    }
+    if (spent > 0) update_mean(w.task_seconds, spent / lease.cost);
     // What a task took that found an idle thread and was not rendering is a round trip; the first
     // task of a frame may have waited for preparations.
     const bool found_idle_thread = lease.ahead <= lease.cost * 1.001f;
@@ -350,6 +397,17 @@ void Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint n
         next_expiry_ = now;  // now we know better how long its leases may last
     }
     set_limit(worker);
+    return spent > 0 ? float(spent / w.task_seconds) : lease.cost;
+}
+
+/// Enters what a task has cost into the map, once all of its tile has been measured.
+void Scheduler::measure(Frame& frame, std::uint32_t run, const TileTask& name, float cost) {
+    std::vector<Task>& tasks = frame.open[run - frame.first_open].tasks;
+    Task& tile = tasks[name.tile];
+    tile.cost += cost;
+    const auto parts = std::span(tasks).subspan(name.part == 0 ? name.tile : tile.quarters,
+                                                name.part == 0 ? 1 : quarters);
+    if (std::ranges::all_of(parts, &Task::done)) frame.costs.measure(name.tile, tile.cost);
 }
 
 /// Handing out to answer when its thread has to do `ahead` up to then; 0: not known.
@@ -374,33 +432,38 @@ void Scheduler::crew_changed() {
 void Scheduler::measure_crew(Frame& frame, TimePoint now) const {
     if (now < frame.crew.valid_until) return;
     Crew crew;
-    double threads = 0, threads_round_trips = 0, work_held = 0;
+    double round_trips = 0, work_held = 0;
     for (const Worker& w : workers_) {
         if (w.task_seconds == 0 || w.overdue || !ready(w, frame)) continue;
         const double speed = w.threads / w.task_seconds;
         crew.speed += speed;
-        threads += w.threads;
-        threads_round_trips += speed * w.round_trip;
+        crew.threads += w.threads;
+        round_trips += speed * w.round_trip;
         work_held += w.work_held;
     }
     if (crew.speed > 0) {
-        crew.task_seconds = (threads + threads_round_trips) / crew.speed;
+        crew.task_seconds = crew.threads / crew.speed;
+        crew.round_trip = round_trips / crew.speed;
         crew.busy_seconds = std::max(0.0, work_held - frame.work_held) / crew.speed;
     }
     crew.valid_until =
-        now + std::max<Duration>(least_crew_refresh, seconds(crew_refresh * crew.task_seconds));
+        now + std::max<Duration>(least_crew_refresh,
+                                 seconds(crew_refresh * (crew.round_trip + crew.task_seconds)));
     frame.crew = crew;
 }
 
 /// Whether the worker would finish a task before the others could finish the frame without it,
 /// give or take a task. Holds for at least one of those that count in the crew once it is idle.
-bool Scheduler::in_time(const Worker& worker, const Frame& frame, double cost) {
-    if (frame.crew.speed == 0) return true;
+bool Scheduler::in_time(const Worker& worker, const Frame& frame, const TileTask& name) {
+    const Crew& crew = frame.crew;
+    if (crew.speed == 0) return true;
     if (worker.overdue) return false;
-    const double ahead = worker.work_held / worker.threads + std::min(cost, 1.0);
-    return seconds_for(worker, ahead) <= (double(frame.undone) / frame.crew.speed +
-                                          frame.crew.busy_seconds + frame.crew.task_seconds) *
-                                             1.000001;
+    const double mean = name.part == 0 ? 1 : 1.0 / quarters;
+    const double ahead =
+        worker.work_held / worker.threads + std::min(double(cost_of(frame, name)), mean);
+    const double others = frame.work_left / crew.speed + crew.busy_seconds + crew.round_trip +
+                          mean * crew.task_seconds;
+    return seconds_for(worker, ahead) <= others * 1.000001;
 }
 
 // ---- Handing out --------------------------------------------------------------------------------
@@ -421,7 +484,7 @@ std::vector<Assignment> Scheduler::assign(TimePoint now) {
         for (std::size_t i = 0; i < waiting_.size(); ++i) {
             const Slot slot = waiting_[i];
             Worker& w = workers_[slot];
-            w.waiting = w.id != 0 && !w.retired && w.leases < w.limit;
+            w.waiting = w.id != 0 && !w.retired && w.quarters_held < quarters * w.limit;
             if (!w.waiting) continue;
             waiting_[kept++] = slot;
             if (hand_out_in_turn(slot, now, out)) handed_out = true;
@@ -465,11 +528,10 @@ bool Scheduler::hand_out_in_turn(Slot worker, TimePoint now, std::vector<Assignm
 
 std::optional<TileTask> Scheduler::lost_task_for(Slot worker, Frame& frame) {
     for (auto name = frame.again.begin(); name != frame.again.end();) {
-        Task* task = find(frame, *run_of(frame.spec, *name), name->tile);
+        Task* task = find(frame, *run_of(frame.spec, *name), *name);
         if (!task || task->done) {
             name = frame.again.erase(name);
-        } else if (holds(*task, worker) ||
-                   !in_time(workers_[worker], frame, frame.costs.predicted(name->tile))) {
+        } else if (holds(*task, worker) || !in_time(workers_[worker], frame, *name)) {
             ++name;
         } else {
             const TileTask found = *name;
@@ -484,8 +546,17 @@ std::optional<TileTask> Scheduler::lost_task_for(Slot worker, Frame& frame) {
 std::optional<TileTask> Scheduler::new_task_for(Slot worker, Frame& frame) {
     if (frame.next_run >= frame.run_limit) return std::nullopt;
     const std::uint32_t tile = frame.order[frame.next_index];
-    if (!in_time(workers_[worker], frame, frame.costs.predicted(tile))) return std::nullopt;
-    const TileTask task = task_of(frame.spec, frame.next_run, tile);
+    if (frame.next_part == 0 && pays_to_cut(frame, tile)) {
+        cut(open_run(frame, frame.next_run), tile);
+        frame.next_part = 1;
+    }
+    const TileTask task = task_of(frame.spec, frame.next_run, tile, frame.next_part);
+    if (!in_time(workers_[worker], frame, task)) return std::nullopt;
+    if (task.part > 0 && task.part < quarters) {
+        ++frame.next_part;
+        return task;
+    }
+    frame.next_part = 0;
     if (++frame.next_index == frame.order.size()) {
         frame.next_index = 0;
         ++frame.next_run;
@@ -515,7 +586,7 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
     std::vector<Candidate> late, slow;
     for (const Lease& l : leases_) {
         if (l.worker == none || l.task.frame != frame.spec.frame) continue;
-        const Task& task = *find(frame, l.run, l.task.tile);
+        const Task& task = *find(frame, l.run, l.task);
         std::size_t copies = 0;
         for (std::uint32_t i = task.leases; i != none; i = leases_[i].next) ++copies;
         if (task.done || copies >= config_.most_copies || &leases_[task.leases] != &l) continue;
@@ -534,7 +605,7 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
     const auto give = [&](Slot slot, std::vector<Candidate>& from) {
         for (std::size_t i = from.size(); i-- > 0;) {
             const TileTask name = from[i].name;
-            if (holds(*find(frame, *run_of(frame.spec, name), name.tile), slot)) continue;
+            if (holds(*find(frame, *run_of(frame.spec, name), name), slot)) continue;
             from.erase(from.begin() + std::ptrdiff_t(i));
             lease(slot, frame, name, now, out);
             return true;
@@ -546,7 +617,7 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
         }
         while (idle(slot) && !slow.empty()) {
             const Worker& w = workers_[slot];
-            const double own = seconds_for(w, frame.costs.predicted(slow.back().name.tile));
+            const double own = seconds_for(w, cost_of(frame, slow.back().name));
             const double left = std::chrono::duration<double>(slow.back().at - now).count();
             if (own == 0 || own > config_.faster * left || !give(slot, slow)) break;
         }

@@ -11,7 +11,11 @@
 //     out again, and when hands are idle at the end of a frame, so is what they would finish sooner
 //     (Zaharia et al., "Improving MapReduce Performance in Heterogeneous Environments", 2008). The
 //     first answer wins. The tiles of a lost worker go out before all others,
-//   - a worker gets none of the last tiles that it would finish after everybody else.
+//   - a worker gets none of the last tiles that it would finish after everybody else,
+//   - tiles that would take a thread long for what is left go out in quarters: towards the end of a
+//     frame, and all of them where there are many threads for few tiles (Polychronopoulos and Kuck,
+//     "Guided Self-Scheduling", 1987, with two sizes). A tile is cut or not once in each run,
+//     before it goes out.
 //
 // Pure: events and a `now` in, assignments out.
 #pragma once
@@ -52,6 +56,11 @@ struct SchedulerConfig {
     double faster = 0.5;
     /// ...as long as fewer workers than this hold it.
     std::size_t most_copies = 2;
+    /// A tile is cut when a thread's share of the work that is left is less than this many of it.
+    /// 0: never.
+    double fineness = 2;
+    /// The server's time for an answer: quarters must not keep it busier than it can be.
+    Duration server_time = std::chrono::microseconds(4);
 };
 
 struct Assignment {
@@ -130,6 +139,7 @@ private:
         std::uint32_t threads = 1;
         std::uint32_t limit = 1;
         std::uint32_t leases = 0;
+        std::uint32_t quarters_held = 0;
         double work_held = 0;       ///< costs of the tasks it holds
         double round_trip = 0;      ///< seconds
         double task_seconds = 0;    ///< of a thread for a task of cost 1; 0: not known yet
@@ -152,21 +162,25 @@ private:
         TimePoint issued;
     };
     struct Task {
-        std::uint32_t leases = none;  ///< the oldest
+        std::uint32_t leases = none;    ///< the oldest
+        std::uint32_t quarters = none;  ///< where the first of four is that have taken its place
+        float cost = 0;                 ///< of what has been answered
         bool handed_out = false;
         bool done = false;
         bool queued = false;  ///< in Frame::again
     };
     /// A run of which tasks have been handed out.
     struct Run {
-        std::vector<Task> tasks;      ///< by tile
+        std::vector<Task> tasks;      ///< by tile; then the quarters of those that are cut
         std::uint32_t unsettled = 0;  ///< tasks not done, or still in somebody's hands
     };
     /// What the workers that may be trusted with a frame can do together.
     struct Crew {
-        double speed = 0;         ///< tasks of cost 1 a second; 0: not known
+        double speed = 0;  ///< tasks of cost 1 a second; 0: not known
+        double threads = 0;
         double busy_seconds = 0;  ///< that tasks of other frames in their hands take them
-        double task_seconds = 0;  ///< mean time from handing a task to an idle one to its answer
+        double task_seconds = 0;  ///< mean time of a thread for a task of cost 1...
+        double round_trip = 0;    ///< ...and from handing one out to its answer beside that
         TimePoint valid_until;
     };
     struct Frame {
@@ -175,14 +189,15 @@ private:
         std::uint32_t run_limit = 0;
         std::uint32_t next_run = 0;  ///< first task never handed out
         std::uint32_t next_index = 0;
+        std::uint32_t next_part = 0;  ///< not 0: that tile is cut
         CostMap costs;
         std::vector<std::uint32_t> order;  ///< of the tiles in each run
         std::deque<TileTask> again;        ///< lost or expired; goes before new ones
         std::uint32_t first_open = 0;
-        std::deque<Run> open;      ///< first_open and on
-        std::uint64_t undone = 0;  ///< tasks of all runs
-        double work_held = 0;      ///< costs of its tasks in workers' hands
-        double task_seconds = 0;   ///< from handing out to answer, running mean; 0: not known yet
+        std::deque<Run> open;     ///< first_open and on
+        double work_left = 0;     ///< costs of the tasks of all runs that are not done
+        double work_held = 0;     ///< costs of its tasks in workers' hands
+        double task_seconds = 0;  ///< from handing out to answer, running mean; 0: not known yet
         std::uint64_t reissued = 0;
         std::set<std::uint64_t> excluded;  ///< workers that cannot render it
         std::vector<bool> answered;        ///< by worker: has returned a task of it
@@ -193,8 +208,12 @@ private:
     Worker& worker_of(std::uint64_t id) { return workers_[slots_.at(id)]; }
     static bool ready(const Worker& worker, const Frame& frame);
     static bool answered(const Frame& frame, Slot worker);
-    static Task* find(Frame& frame, std::uint32_t run, std::uint32_t tile);
-    static Task& open_task(Frame& frame, std::uint32_t run, std::uint32_t tile);
+    static float cost_of(const Frame& frame, const TileTask& name);
+    static Task* find(Frame& frame, std::uint32_t run, const TileTask& name);
+    static Run& open_run(Frame& frame, std::uint32_t run);
+    static void cut(Run& run, std::uint32_t tile);
+    static double work_left(const Frame& frame, const Run& run);
+    bool pays_to_cut(const Frame& frame, std::uint32_t tile) const;
     bool holds(const Task& task, Slot worker) const;
     void queue_if_orphaned(Frame& frame, const TileTask& name, Task& task) const;
 
@@ -207,14 +226,15 @@ private:
     void wait(Slot worker);
     void crew_changed();
 
-    void learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
-               std::optional<double> render_seconds);
+    float learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
+                std::optional<double> render_seconds);
+    static void measure(Frame& frame, std::uint32_t run, const TileTask& name, float cost);
     void set_limit(Slot worker);
     void measure_crew(Frame& frame, TimePoint now) const;
     static double seconds_for(const Worker& worker, double ahead);
     double expected_seconds(const Lease& lease, const Frame& frame) const;
     Duration lease_time(const Lease& lease, const Frame& frame) const;
-    static bool in_time(const Worker& worker, const Frame& frame, double cost);
+    static bool in_time(const Worker& worker, const Frame& frame, const TileTask& name);
 
     static bool has_work(const Frame& frame);
     std::optional<TileTask> lost_task_for(Slot worker, Frame& frame);

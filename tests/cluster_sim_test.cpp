@@ -17,10 +17,13 @@ namespace {
 TEST(ClusterSim, laws_hold_under_random_faults) {
     const char* wanted = std::getenv("TESSERA_SCHEDULES");
     const unsigned schedules = wanted ? unsigned(std::atoi(wanted)) : 1000;
+    std::uint64_t quarters = 0;
     for (unsigned seed = 0; seed < schedules; ++seed) {
         const SimReport report = simulate(random_cluster(seed));
         ASSERT_TRUE(report.broken.empty()) << "schedule " << seed << ", " << report.broken.front();
+        quarters += report.quarters;
     }
+    EXPECT_GT(quarters, 100 * schedules);
 }
 
 TEST(ClusterSim, frames_in_flight_share_the_workers) {

@@ -273,7 +273,8 @@ private:
         return {.frame = big(),
                 .tile = below(max_tiles),
                 .first_pass = below(max_passes / 2),
-                .pass_count = 1 + below(max_passes / 2)};
+                .pass_count = 1 + below(max_passes / 2),
+                .part = below(quarters + 1)};
     }
     TileTasks make_one(TileTasks) { return {list<TileTask>()}; }
     TileReport make_one(TileReport) {

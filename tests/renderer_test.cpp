@@ -1,5 +1,6 @@
 #include "worker/renderer.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <atomic>
@@ -80,6 +81,61 @@ TEST(Renderer, TracksLightsToTheSameBits) {
         EXPECT_EQ(bits(got.data), bits(expected[i].data));
         EXPECT_EQ(got.lights, expected[i].lights);
     }
+}
+
+/// The pixels of `part` in a result for `rect`.
+std::vector<float> cropped(const FrameSpec& spec, const TileResult& result, const Rect& rect,
+                           const Rect& part) {
+    std::vector<float> out;
+    std::size_t offset = 0;
+    for (int c = 0; c < channel_count; ++c) {
+        if (!tile_channels(spec).has(Channel(c))) continue;
+        const auto floats = std::size_t(floats_per_pixel(Channel(c)));
+        for (int y = part.y0; y < part.y1; ++y) {
+            const int first = (y - rect.y0) * rect.width() + part.x0 - rect.x0;
+            const auto row = result.data.begin() + std::ptrdiff_t(offset + floats * first);
+            out.insert(out.end(), row, row + std::ptrdiff_t(floats * part.width()));
+        }
+        offset += floats * rect.pixels();
+    }
+    return out;
+}
+
+/// Lamps with rims, lights that are tracked, lobes of every kind, and sets of VPLs that light whole
+/// tiles at a time.
+TEST(Renderer, QuartersAreTheSameBitsAsTheirTile) {
+    std::size_t cut = 0, with_lights = 0;
+    for (const char* name : {"cornell", "rooms", "kitchen", "shading"}) {
+        const SceneBundle bundle = *generate_scene(name);
+        Renderer renderer(bundle.scene, bundle.blobs, {});
+        FrameSpec spec = cornell_frame(bundle, Integrator::igi, {90, 56}, 1);
+        for (const std::uint32_t interleave : {1u, 3u, 0u}) {
+            SCOPED_TRACE(fmt::format("{}, {}", name, interleave));
+            spec.settings.tracer = interleave == 1 ? TracerKind::kdtree : TracerKind::embree;
+            spec.settings.interleave = std::max(interleave, 1u);
+            if (interleave == 0) spec.settings.integrator = Integrator::path;
+            ++spec.frame;
+            renderer.begin_frame(spec);
+            for (TileTask task : tasks_of(spec)) {
+                if (!can_be_cut(spec.size, task.tile)) continue;
+                ++cut;
+                const TileResult whole = *renderer.render(task);
+                std::vector<LightEstimate> lights;
+                for (task.part = 1; task.part <= quarters; ++task.part) {
+                    const TileResult part = *renderer.render(task);
+                    EXPECT_EQ(bits(part.data),
+                              bits(cropped(spec, whole, rect_of(spec.size, whole.task),
+                                           rect_of(spec.size, task))))
+                        << task.tile << ' ' << task.part;
+                    add_estimates(part.lights, lights);
+                }
+                EXPECT_EQ(lights, whole.lights);
+                with_lights += !lights.empty();
+            }
+        }
+    }
+    EXPECT_EQ(cut, 4 * 3 * 6 * 3u);
+    EXPECT_GT(with_lights, 20u);
 }
 
 TEST(Renderer, ATaskIsTheSumOfItsPasses) {

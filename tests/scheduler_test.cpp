@@ -62,6 +62,11 @@ private:
         bool slow;
     };
 
+    static std::uint32_t quarters_of(const std::set<TileTask>& tasks) {
+        std::uint32_t sum = 0;
+        for (const TileTask& task : tasks) sum += task.part == 0 ? quarters : 1;
+        return sum;
+    }
     std::uint32_t below(std::uint32_t n) { return std::uint32_t(random_() % n); }
     bool chance(double p) { return std::uniform_real_distribution<>()(random_) < p; }
 
@@ -145,7 +150,7 @@ private:
             ASSERT_TRUE(run);
             ASSERT_LT(*run, std::min(frame.runs, complete_runs(frame) + frame.window));
             ASSERT_TRUE(worker.holds.insert(task).second) << "the worker has this task already";
-            ASSERT_LE(worker.holds.size(), worker.limit);
+            ASSERT_LT(quarters_of(worker.holds), quarters * (worker.limit + 1));
             ASSERT_EQ(worker.holds.size() > 0, scheduler_.leases(id) > 0);
             // Answers come in any order; a stalling worker takes longer than any lease.
             const auto time = chance(0.01)  ? milliseconds(20000)
@@ -187,8 +192,9 @@ private:
     std::uint32_t complete_runs(const Frame& frame) const {
         std::uint32_t run = 0;
         std::vector<std::uint32_t> tiles(run_count(frame.spec.settings));
-        for (const TileTask& task : frame.delivered) ++tiles[*run_of(frame.spec, task)];
-        while (run < tiles.size() && tiles[run] == tile_count(frame.spec.size)) ++run;
+        for (const TileTask& task : frame.delivered)
+            tiles[*run_of(frame.spec, task)] += quarters_of({task});
+        while (run < tiles.size() && tiles[run] == quarters * tile_count(frame.spec.size)) ++run;
         return run;
     }
 
@@ -226,6 +232,32 @@ TEST(Scheduler, a_worker_gets_a_task_per_thread_and_some_ahead) {
     EXPECT_EQ(scheduler.completed(1, task_of(frame_of(1, {160, 160}, 1), 0, 2), TimePoint{}),
               Answer::first);
     EXPECT_EQ(scheduler.assign(TimePoint{}).size(), 1u);
+}
+
+TEST(Scheduler, tiles_are_cut_once_little_is_left_for_each_thread) {
+    const FrameSpec spec = frame_of(1, {320, 160}, 1);
+    for (const double fineness : {0.0, 2.0}) {
+        Scheduler scheduler({.prefetch = 0, .fineness = fineness});
+        scheduler.add_frame(spec, 1);
+        add_ready(scheduler, 1, 10);
+        TimePoint now{};
+        std::set<TileTask> held, answered;
+        for (;;) {
+            for (const Assignment& a : scheduler.assign(now)) held.insert(a.task);
+            if (held.empty()) break;
+            const TileTask task = *held.begin();
+            held.erase(held.begin());
+            answered.insert(task);
+            EXPECT_EQ(scheduler.completed(1, task, now += milliseconds(1), 1e-2), Answer::first);
+        }
+        std::map<std::uint32_t, std::uint32_t> pieces;
+        for (const TileTask& task : answered) pieces[task.tile] += task.part == 0 ? quarters : 1;
+        EXPECT_EQ(pieces.size(), 200u);
+        for (const auto& [tile, quarters_there] : pieces) EXPECT_EQ(quarters_there, quarters);
+        const auto cut = std::ranges::count_if(answered, [](auto& task) { return task.part > 0; });
+        EXPECT_EQ(cut > 0, fineness > 0) << cut;
+        EXPECT_LT(cut, 200);
+    }
 }
 
 TEST(Scheduler, frames_take_turns) {

@@ -21,15 +21,15 @@ std::uint32_t surface_id(const World& world, const Hit& hit, std::uint32_t mirro
     return std::max(hash(hash(hit.instance, object), mirrors), 1u);
 }
 
-/// The tile's pixels in blocks of 4 x 4, whose rays the tracer likes to have together.
-std::vector<std::uint32_t> in_blocks(const Rect& tile) {
+/// The pixels in the picture's blocks of 4 x 4, whose rays the tracer likes to have together.
+std::vector<std::uint32_t> in_blocks(const Rect& rect) {
     constexpr int side = 4;
     std::vector<std::uint32_t> pixels;
-    for (int y0 = 0; y0 < tile.height(); y0 += side)
-        for (int x0 = 0; x0 < tile.width(); x0 += side)
-            for (int y = y0; y < std::min(y0 + side, tile.height()); ++y)
-                for (int x = x0; x < std::min(x0 + side, tile.width()); ++x)
-                    pixels.push_back(std::uint32_t(y * tile.width() + x));
+    for (int y0 = rect.y0 / side * side; y0 < rect.y1; y0 += side)
+        for (int x0 = rect.x0 / side * side; x0 < rect.x1; x0 += side)
+            for (int y = std::max(y0, rect.y0); y < std::min(y0 + side, rect.y1); ++y)
+                for (int x = std::max(x0, rect.x0); x < std::min(x0 + side, rect.x1); ++x)
+                    pixels.push_back(std::uint32_t((y - rect.y0) * rect.width() + x - rect.x0));
     return pixels;
 }
 

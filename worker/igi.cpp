@@ -50,7 +50,8 @@ struct ShadowBatch {
             if (!blocked[i]) samples[pixels[i]].*sum += irradiance[i];
         if (!tally) return rays.size();
         for (std::size_t i = 0; i < rays.size(); ++i)
-            if (!blocked[i]) tally->add(lights[i], shown(samples[pixels[i]], irradiance[i], sum));
+            if (!blocked[i])
+                tally->add(lights[i], pixels[i], shown(samples[pixels[i]], irradiance[i], sum));
         return rays.size();
     }
 };
@@ -354,7 +355,7 @@ void add_emission(const World& world, const IgiConfig& config, const RestPath& p
         weight = 1 - direct_weight(world, world.lights.pdf(path.vertex.at.p, hit, s), path.pdf);
     const vec3 e = path.throughput * s.emission * weight;
     if (const auto light = config.tally ? world.lights.light_of(hit) : std::nullopt)
-        config.tally->add(*light, shown(pixel, e, sum));
+        config.tally->add(*light, path.pixel, shown(pixel, e, sum));
     if (path.bounces > 0 || path.via != Via::broad || sum == &PixelSample::emitted)
         pixel.*sum += e;
     else if (hit.t > config.filter_angle * pixel.depth)
@@ -419,7 +420,8 @@ public:
             PixelSample& pixel = pixels[receivers_[i]->pixel];
             pixel.indirect += e[i];
             if (config.tally)
-                config.tally->add(vpl.light, shown(pixel, e[i], &PixelSample::indirect));
+                config.tally->add(vpl.light, receivers_[i]->pixel,
+                                  shown(pixel, e[i], &PixelSample::indirect));
         }
         return rays;
     }
@@ -495,17 +497,24 @@ std::uint64_t follow_rest(const World& world, const IgiConfig& config, const Vpl
             keep(path, paths[kept++]);
         }
         paths.erase(paths.begin() + std::ptrdiff_t(kept), paths.end());
+        // Now, so that what a pixel gets is added up in an order that others have no part in.
+        direct.finish();
     }
-    direct.finish();
     return traced + batch.trace(world.tracer, pixels, sum);
 }
 
 }  // namespace
 
 std::vector<LightEstimate> LightTally::estimates() const {
-    std::vector<LightEstimate> out;
-    for (std::uint32_t i = 0; i < radiance_.size(); ++i)
-        if (radiance_[i] > 0 && std::isfinite(radiance_[i])) out.push_back({i, radiance_[i]});
+    std::vector<LightEstimate> out, part;
+    for (std::size_t begin = 0; begin < radiance_.size(); begin += lights_) {
+        part.clear();
+        for (std::uint32_t i = 0; i < lights_; ++i) {
+            const float radiance = radiance_[begin + i];
+            if (radiance > 0 && std::isfinite(radiance)) part.push_back({i, radiance});
+        }
+        add_estimates(part, out);
+    }
     return out;
 }
 

@@ -21,19 +21,26 @@
 
 namespace tessera {
 
-/// What each light sends into some pixels: the radiance of the pixels, summed up.
+/// What each light sends into a tile: the radiance of its pixels, summed up in each quarter, so
+/// that quarters that are rendered apart add up to the same bits.
 class LightTally {
 public:
-    explicit LightTally(std::size_t lights) : radiance_(lights) {}
+    LightTally(std::size_t lights, const Rect& pixels)
+        : pixels_(pixels), lights_(lights), radiance_(quarters * lights) {}
 
-    void add(std::uint32_t light, const vec3& radiance) {
-        radiance_[light] += mean_component(radiance);
+    /// `pixel`: index within `pixels`.
+    void add(std::uint32_t light, std::uint32_t pixel, const vec3& radiance) {
+        const int x = pixels_.x0 + int(pixel) % pixels_.width();
+        const int y = pixels_.y0 + int(pixel) / pixels_.width();
+        radiance_[quarter_of(x, y) * lights_ + light] += mean_component(radiance);
     }
     /// Those that send anything, by number.
     std::vector<LightEstimate> estimates() const;
 
 private:
-    std::vector<float> radiance_;
+    Rect pixels_;
+    std::size_t lights_;
+    std::vector<float> radiance_;  ///< quarter by quarter
 };
 
 struct IgiConfig {

@@ -71,6 +71,10 @@ std::shared_ptr<const Lights> lights_of(const FrameSpec& spec, const Surfaces& s
     return std::make_shared<const Lights>(lights.tracked(estimates));
 }
 
+bool holds(const Rect& rect, const ivec2& pixel) {
+    return pixel.x >= rect.x0 && pixel.x < rect.x1 && pixel.y >= rect.y0 && pixel.y < rect.y1;
+}
+
 /// A frame between begin_frame and end_frame.
 class FrameState {
 public:
@@ -97,11 +101,15 @@ public:
     /// The lights to choose from.
     const Lights& lights() const { return *lights_; }
 
-    /// One pass of one tile; returns the number of rays traced. Adds what each light sends to
-    /// `tally`, unless it is null.
-    std::uint64_t trace(const TilePass& tile, std::span<PixelSample> pixels, LightTally* tally) {
+    /// One pass of one tile, of which the pixels in `wanted` get their light; returns the number of
+    /// rays traced. Adds what each light sends to `tally`, unless it is null.
+    std::uint64_t trace(const TilePass& tile, const Rect& wanted, std::span<PixelSample> pixels,
+                        LightTally* tally) {
         std::vector<Receiver> receivers;
         std::uint64_t rays = trace_eye_rays(world_, camera_, tile, pixels, receivers);
+        if (wanted != tile.rect)
+            std::erase_if(receivers,
+                          [&](const Receiver& r) { return !holds(wanted, tile.raster(r.pixel)); });
         const RenderSettings& settings = spec_.settings;
         const bool has_photons = photon_config_.count > 0;
         if (settings.integrator == Integrator::path) {
@@ -169,6 +177,22 @@ private:
     std::mutex mutex_;
     std::map<std::uint32_t, std::shared_ptr<PassLight>> passes_;
 };
+
+/// A part of `tile` with the pixels around it that trace_eye_rays() asks about rims.
+Rect with_neighbours(const Rect& part, const Rect& tile) {
+    return {std::max(part.x0 - 1, tile.x0), std::max(part.y0 - 1, tile.y0),
+            std::min(part.x1 + 1, tile.x1), std::min(part.y1 + 1, tile.y1)};
+}
+
+/// Leaves those of `rect` that are in `part`.
+void crop(std::vector<PixelSample>& samples, const Rect& rect, const Rect& part) {
+    if (part == rect) return;
+    std::size_t kept = 0;
+    for (int y = part.y0; y < part.y1; ++y)
+        for (int x = part.x0; x < part.x1; ++x)
+            samples[kept++] = samples[std::size_t((y - rect.y0) * rect.width() + x - rect.x0)];
+    samples.resize(kept);
+}
 
 /// The value of a channel with three floats.
 vec3 value(Channel channel, const PixelSample& s, Integrator integrator) {
@@ -335,18 +359,20 @@ std::optional<TileResult> Renderer::render(const TileTask& task) const {
     const auto start = Clock::now();
     const FrameSpec& spec = frame->spec();
     CHECK(task.tile < tile_count(spec.size));
-    const Rect rect = tile_rect(spec.size, task.tile);
+    const Rect part = rect_of(spec.size, task);
+    const Rect rect = with_neighbours(part, tile_rect(spec.size, task.tile));
     TileResult result;
     result.task = task;
-    result.data.resize(rect.pixels() * std::size_t(floats_per_pixel(tile_channels(spec))));
+    result.data.resize(part.pixels() * std::size_t(floats_per_pixel(tile_channels(spec))));
     std::vector<PixelSample> samples;
     std::optional<LightTally> tally;
-    if (frame->lights().is_tracked()) tally.emplace(frame->lights().size());
+    if (frame->lights().is_tracked()) tally.emplace(frame->lights().size(), rect);
     for (std::uint32_t i = 0; i < task.pass_count; ++i) {
         samples.assign(rect.pixels(), {});
         result.rays +=
-            frame->trace({spec.size, rect, task.first_pass + i, hash(spec.settings.seed, 1)},
+            frame->trace({spec.size, rect, task.first_pass + i, hash(spec.settings.seed, 1)}, part,
                          samples, tally ? &*tally : nullptr);
+        crop(samples, rect, part);
         add_pass(spec, samples, i == 0, result);
     }
     if (tally) {

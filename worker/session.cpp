@@ -243,6 +243,9 @@ void Session::take(const TileTask& task) {
     if (task.tile >= tile_count(frame->spec.size))
         throw ProtocolError(
             fmt::format("asks for tile {} of {}", task.tile, tile_count(frame->spec.size)));
+    if (task.part > 0 && !can_be_cut(frame->spec.size, task.tile))
+        throw ProtocolError(
+            fmt::format("asks for a quarter of tile {}, which has none", task.tile));
     if (frame->ready) return render(frame, task);
     if (frame->waiting.size() >= max_tasks)
         throw ProtocolError("hands out more work than can wait");

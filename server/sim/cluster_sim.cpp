@@ -257,7 +257,8 @@ void Simulation::start_threads(std::uint32_t index) {
         worker.queue.pop_front();
         if (!frames_.contains(task.frame)) continue;
         --worker.idle_threads;
-        ++report_.rendered;
+        report_.rendered += task.part == 0 ? 1 : 1.0 / quarters;
+        report_.quarters += task.part > 0;
         const double seconds = tile_seconds(task) * worker.slowness * worker.slowdown;
         at(now_ + seconds, {.what = What::rendered,
                             .index = index,
@@ -270,7 +271,14 @@ void Simulation::start_threads(std::uint32_t index) {
 double Simulation::tile_seconds(const TileTask& task) {
     std::mt19937 own(unsigned(task.frame * 31 + task.first_pass) * 1048583u + task.tile);
     std::lognormal_distribution<> noise(-config_.noise * config_.noise / 2, config_.noise);
-    return config_.tile_seconds * costs_[task.tile] * noise(own);
+    const double whole = config_.tile_seconds * costs_[task.tile] * noise(own);
+    if (task.part == 0) return whole;
+    // Quarters differ as tiles do, and add up to their tile.
+    std::mt19937 of_tile(task.tile);
+    std::lognormal_distribution<> share(0, config_.spread);
+    double shares[quarters], sum = 0;
+    for (double& s : shares) sum += s = share(of_tile);
+    return whole * shares[task.part - 1] / sum * (1 + config_.quarter_overhead);
 }
 
 void Simulation::rendered(const Event& event) {
@@ -303,8 +311,8 @@ void Simulation::result_arrives(const Event& event) {
     if (found == frames_.end()) return;
     Frame& frame = *found->second;
     std::vector<float> radiance;
-    const Rect rect =
-        tile_rect(config_.size, std::min(event.task.tile, tile_count(config_.size) - 1));
+    const bool known = run_of(frame.spec, event.task).has_value();
+    const Rect rect = known ? rect_of(config_.size, event.task) : Rect{};
     for (int y = rect.y0; y < rect.y1; ++y)
         for (int i = 3 * rect.x0; i < 3 * rect.x1; ++i)
             radiance.push_back(pattern(
@@ -333,8 +341,8 @@ void Simulation::fold(Frame& frame) {
         scheduler_.allow_runs(frame.spec.frame, frame.assembler.run_limit());
     }
     if (!frame.assembler.finished()) return;
-    const std::uint64_t tasks = frame.assembler.tasks_done();
-    if (tasks != frame.assembler.tasks_total()) complain("finished with tiles missing");
+    const std::uint64_t tasks = frame.assembler.tiles_done();
+    if (tasks != frame.assembler.tiles_total()) complain("finished with tiles missing");
     report_.tiles += tasks;
     report_.frame_seconds.push_back(now_ - frame.asked);
     scheduler_.remove_frame(frame.spec.frame);

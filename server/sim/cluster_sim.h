@@ -46,6 +46,7 @@ struct SimConfig {
     double tile_seconds = 0.01;   ///< mean
     double spread = 0.5;  ///< standard deviation of the logarithm of a tile's time over the picture
     double noise = 0.1;   ///< the same, from frame to frame
+    double quarter_overhead = 0.1;  ///< share of its time by which a quarter takes longer
 
     double round_trip = 0.001;     ///< seconds, between server and worker or viewer
     double jitter = 0;             ///< share of it by which a message may come later
@@ -62,8 +63,9 @@ struct SimReport {
     double seconds = 0;                 ///< of all frames
     /// What the same tiles take on the same workers when no thread ever waits, faults aside.
     double ideal_seconds = 0;
-    std::uint64_t tiles = 0;     ///< tasks of all frames
-    std::uint64_t rendered = 0;  ///< including those for nothing
+    std::uint64_t tiles = 0;     ///< of all frames and runs
+    double rendered = 0;         ///< including those for nothing
+    std::uint64_t quarters = 0;  ///< of those
     std::uint32_t most_leases = 0;
     double server_load = 0;           ///< share of the time in which the server works
     std::vector<std::string> broken;  ///< laws that did not hold; empty unless there is a bug

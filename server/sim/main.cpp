@@ -46,6 +46,7 @@ nlohmann::json json_of(const Plan& plan) {
                            {"ideal_seconds", plan.report.ideal_seconds},
                            {"tiles", plan.report.tiles},
                            {"rendered", plan.report.rendered},
+                           {"share_cut", plan.share_cut()},
                            {"most_leases", plan.report.most_leases},
                            {"server_load", plan.report.server_load}};
     if (plan.goal) json["goal"] = *plan.goal;
@@ -54,17 +55,19 @@ nlohmann::json json_of(const Plan& plan) {
 
 /// Returns whether all goals are reached.
 bool print_plans(const std::vector<Plan>& plans) {
-    fmt::print("{:<48} {:>9} {:>9} {:>8} {:>7} {:>7}  {:<12} {:>7} {:>7}\n", "1920x1080", "frame/s",
-               "ideal/s", "rendered", "leases", "server", "figure", "value", "goal");
+    fmt::print("{:<50} {:>9} {:>9} {:>8} {:>5} {:>7} {:>7}  {:<12} {:>7} {:>7}\n", "1920x1080",
+               "frame/s", "ideal/s", "rendered", "cut", "leases", "server", "figure", "value",
+               "goal");
     bool all = true;
     for (const Plan& plan : plans) {
         const double frames = double(plan.report.frame_seconds.size());
-        fmt::print("{:<48} {:>9.2f} {:>9.2f} {:>7.2f}x {:>7} {:>6.0f}%  {:<12} {:>7.3f} {:>7} {}\n",
-                   plan.name, frames / plan.report.seconds, frames / plan.report.ideal_seconds,
-                   double(plan.report.rendered) / double(plan.report.tiles),
-                   plan.report.most_leases, 100 * plan.report.server_load, plan.figure, plan.value,
-                   plan.goal ? fmt::format("{:.3f}", *plan.goal) : "",
-                   plan.reached() ? "" : "missed");
+        fmt::print(
+            "{:<50} {:>9.2f} {:>9.2f} {:>7.2f}x {:>4.0f}% {:>7} {:>6.0f}%  {:<12} {:>7.3f} "
+            "{:>7} {}\n",
+            plan.name, frames / plan.report.seconds, frames / plan.report.ideal_seconds,
+            plan.report.rendered / double(plan.report.tiles), 100 * plan.share_cut(),
+            plan.report.most_leases, 100 * plan.report.server_load, plan.figure, plan.value,
+            plan.goal ? fmt::format("{:.3f}", *plan.goal) : "", plan.reached() ? "" : "missed");
         for (const std::string& law : plan.report.broken) fmt::print("  {}\n", law);
         all = all && plan.reached() && plan.report.broken.empty();
     }

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <utility>
 
 namespace tessera {
 namespace {
@@ -22,6 +23,17 @@ Plan efficiency_of(const std::string& name, const SimConfig& config, std::option
     plan.value = plan.report.efficiency();
     plan.goal = goal;
     return plan;
+}
+
+/// The same twice: with whole tiles only, and with tiles cut where the scheduler thinks that it
+/// pays, which must not be worse, give or take a hundredth.
+void add_both(const std::string& name, SimConfig config, std::optional<double> goal,
+              std::vector<Plan>& plans) {
+    const double fineness = std::exchange(config.scheduler.fineness, 0);
+    const Plan whole = efficiency_of(name + ", none cut", config, {});
+    config.scheduler.fineness = fineness;
+    plans.push_back(efficiency_of(name, config, std::max(goal.value_or(0), whole.value - 0.01)));
+    plans.push_back(whole);
 }
 
 /// Of eight workers one is ten times slower: frame time against the ideal split.
@@ -67,10 +79,22 @@ std::vector<Plan> simulate_plans(Plans wanted) {
         for (const double tile_seconds : {0.01, 0.0005}) {
             const std::optional<double> goal =
                 workers == 48 ? std::optional(tile_seconds > 0.001 ? 0.97 : 0.90) : std::nullopt;
-            plans.push_back(
-                efficiency_of(fmt::format("{} workers, {:g} ms tiles", workers, 1e3 * tile_seconds),
-                              full_hd(workers, tile_seconds), goal));
+            const std::string name =
+                fmt::format("{} workers, {:g} ms tiles", workers, 1e3 * tile_seconds);
+            const SimConfig config = full_hd(workers, tile_seconds);
+            if (workers <= 1000)
+                add_both(name, config, goal, plans);
+            else
+                plans.push_back(efficiency_of(name, config, goal));
         }
+    }
+    for (const std::uint32_t workers : {48u, 96u}) {
+        SimConfig config = full_hd(workers, 0.01);
+        config.threads = 4;
+        config.size = {640, 480};
+        config.frames = 12;
+        add_both(fmt::format("{} workers of 4 threads, 640x480, 10 ms", workers), config, {},
+                 plans);
     }
     if (wanted != Plans::small) {
         SimConfig two_frames = full_hd(1000, 0.01);

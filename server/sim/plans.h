@@ -20,6 +20,8 @@ struct Plan {
     std::optional<double> goal = {};  ///< at least for an efficiency, at most for anything else
     bool more_is_better = true;
 
+    /// Of what has been rendered, in quarters.
+    double share_cut() const { return double(report.quarters) / quarters / report.rendered; }
     bool reached() const { return !goal || (more_is_better ? value >= *goal : value <= *goal); }
 };
 
