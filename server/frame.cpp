@@ -343,16 +343,18 @@ Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pix
     std::uint8_t& here = buffer.quarters_here[task.tile];
     const std::uint8_t all = (1u << quarters) - 1;
     const std::uint8_t these = task.part == 0 ? all : std::uint8_t(1u << (task.part - 1));
-    if (here & these) return Arrival::duplicate;
+    if ((here & these) == these) return Arrival::duplicate;
     unpack_tile(channels_, pixels, rect_of(spec_.size, task), spec_.size, buffer.data);
     for (std::uint32_t q = 0; q < quarters; ++q)
         if (these >> q & 1) buffer.owners[quarters * task.tile + q] = float(owner);
     if (!lights.empty()) {
         buffer.lights.resize(std::size_t(quarters) * tile_count(spec_.size));
-        buffer.lights[quarters * task.tile + std::max(task.part, 1u) - 1] = std::move(lights);
+        const auto of_tile = std::span(buffer.lights).subspan(quarters * task.tile, quarters);
+        if (task.part == 0) std::ranges::fill(of_tile, std::vector<LightEstimate>());
+        of_tile[std::max(task.part, 1u) - 1] = std::move(lights);
     }
+    const auto count = std::uint32_t(std::popcount(unsigned(these & ~here)));
     here |= these;
-    const auto count = std::uint32_t(std::popcount(these));
     buffer.quarters_missing -= count;
     quarters_done_ += count;
     return Arrival::stored;

@@ -153,7 +153,8 @@ void Scheduler::limit_runs(std::uint64_t frame, std::uint32_t runs) {
     f.runs = std::min(f.runs, runs);
     f.run_limit = std::min(f.run_limit, runs);
     while (!f.open.empty() && f.first_open + f.open.size() > runs) {
-        f.work_left -= work_left(f, f.open.back());
+        for (std::uint32_t tile = 0; tile < tiles; ++tile)
+            f.work_left -= work_left(f, f.open.back(), tile);
         for (Task& task : f.open.back().tasks) end_leases(f, task);
         f.open.pop_back();
     }
@@ -184,13 +185,13 @@ float Scheduler::cost_of(const Frame& frame, const TileTask& name) {
     return frame.costs.predicted(name.tile) * (name.part == 0 ? 1 : 1.0f / quarters);
 }
 
-/// Null as well for a tile that is cut, and for quarters of one that is not.
+/// Null as well for quarters of a tile that is not cut.
 Scheduler::Task* Scheduler::find(Frame& frame, std::uint32_t run, const TileTask& name) {
     if (run < frame.first_open || run - frame.first_open >= frame.open.size()) return nullptr;
     std::vector<Task>& tasks = frame.open[run - frame.first_open].tasks;
     Task& tile = tasks[name.tile];
-    if ((tile.quarters == none) != (name.part == 0)) return nullptr;
-    return name.part == 0 ? &tile : &tasks[tile.quarters + name.part - 1];
+    if (name.part == 0) return &tile;
+    return tile.quarters == none ? nullptr : &tasks[tile.quarters + name.part - 1];
 }
 
 Scheduler::Run& Scheduler::open_run(Frame& frame, std::uint32_t run) {
@@ -201,36 +202,85 @@ Scheduler::Run& Scheduler::open_run(Frame& frame, std::uint32_t run) {
 }
 
 void Scheduler::cut(Run& run, std::uint32_t tile) {
+    const Task part{.handed_out = run.tasks[tile].handed_out};
     run.tasks[tile].quarters = std::uint32_t(run.tasks.size());
-    run.tasks.resize(run.tasks.size() + quarters);
-    run.unsettled += quarters - 1;
+    run.tasks.resize(run.tasks.size() + quarters, part);
+    run.unsettled += quarters;
 }
 
-double Scheduler::work_left(const Frame& frame, const Run& run) {
-    double left = 0;
-    for (std::uint32_t tile = 0; tile < tile_count(frame.spec.size); ++tile) {
-        const Task& whole = run.tasks[tile];
-        const double cost = double(frame.costs.predicted(tile));
-        if (whole.quarters == none) left += whole.done ? 0 : cost;
-        for (std::uint32_t q = 0; q < (whole.quarters == none ? 0 : quarters); ++q)
-            left += run.tasks[whole.quarters + q].done ? 0 : cost / quarters;
+/// Whether this is a tile that its quarters stand for.
+bool Scheduler::is_cut(Frame& frame, std::uint32_t run, const TileTask& name) {
+    return name.part == 0 && find(frame, run, name)->quarters != none;
+}
+
+/// Costs of the tile's tasks that are not done.
+double Scheduler::work_left(const Frame& frame, const Run& run, std::uint32_t tile) {
+    const Task& whole = run.tasks[tile];
+    const double cost = double(frame.costs.predicted(tile));
+    if (whole.quarters == none || whole.done) return whole.done ? 0 : cost;
+    const auto parts = std::span(run.tasks).subspan(whole.quarters, quarters);
+    return cost / quarters * double(std::ranges::count(parts, false, &Task::done));
+}
+
+void Scheduler::finish(Run& run, Task& task) {
+    if (!task.done && task.leases == none) --run.unsettled;
+    task.done = true;
+}
+
+/// After the first answer to a task: with a tile its quarters are done, and with the last quarter
+/// the tile. Enters what a tile has cost into the map.
+void Scheduler::finish_tile(Frame& frame, std::uint32_t number, const TileTask& name, float cost) {
+    Run& run = open_run(frame, number);
+    Task& tile = run.tasks[name.tile];
+    const double before = work_left(frame, run, name.tile);
+    finish(run, *find(frame, number, name));
+    tile.cost = name.part == 0 ? cost : tile.cost + cost;
+    if (tile.quarters != none) {
+        const auto parts = std::span(run.tasks).subspan(tile.quarters, quarters);
+        for (Task& part : parts)
+            if (name.part == 0) finish(run, part);
+        if (std::ranges::all_of(parts, &Task::done)) finish(run, tile);
     }
-    return left;
+    frame.work_left = std::max(0.0, frame.work_left - before + work_left(frame, run, name.tile));
+    if (tile.done) frame.costs.measure(name.tile, tile.cost);
 }
 
 /// Whether the tile would still be under way when there is little else left to do, and its quarters
 /// are large enough for the server. What others have to do counts: nobody is idle meanwhile.
 bool Scheduler::pays_to_cut(const Frame& frame, std::uint32_t tile) const {
-    const Crew& crew = frame.crew;
-    if (crew.speed == 0 || !can_be_cut(frame.spec.size, tile)) return false;
+    if (!quarters_suit_server(frame, tile)) return false;
     const double cost = double(frame.costs.predicted(tile));
-    const double server_seconds = std::chrono::duration<double>(config_.server_time).count();
-    if (cost / quarters * crew.task_seconds < crew.threads * server_seconds) return false;
     double left = 0;
     for (const auto& [id, other] : frames_)
         if (&other == &frame || has_work(other)) left += other.work_left;
     const double feared = cost * (frame.costs.is_known() ? 1 : doubt);
-    return config_.fineness * feared > left / crew.threads;
+    return config_.fineness * feared > left / frame.crew.threads;
+}
+
+/// Whether there are any, and they take long enough.
+bool Scheduler::quarters_suit_server(const Frame& frame, std::uint32_t tile) const {
+    const Crew& crew = frame.crew;
+    if (crew.speed == 0 || !can_be_cut(frame.spec.size, tile)) return false;
+    const double server_seconds = std::chrono::duration<double>(config_.server_time).count();
+    return double(frame.costs.predicted(tile)) / quarters * crew.task_seconds >=
+           crew.threads * server_seconds;
+}
+
+/// Whether a tile that is out can be done sooner by several: those that are idle, so that the
+/// server is not in the way.
+bool Scheduler::can_cut_late(Frame& frame, std::uint32_t run, const TileTask& name) const {
+    return config_.fineness > 0 && name.part == 0 && !find(frame, run, name)->queued &&
+           can_be_cut(frame.spec.size, name.tile);
+}
+
+/// The quarters of a tile that is out go to whoever is idle next.
+void Scheduler::cut_late(Frame& frame, std::uint32_t run, const TileTask& name) {
+    cut(open_run(frame, run), name.tile);
+    TileTask part = name;
+    for (part.part = 1; part.part <= quarters; ++part.part) {
+        find(frame, run, part)->queued = true;
+        frame.again.push_back(part);
+    }
 }
 
 // ---- Leases -------------------------------------------------------------------------------------
@@ -242,8 +292,9 @@ bool Scheduler::holds(const Task& task, Slot worker) const {
 }
 
 /// Queues a task that nobody can be trusted to answer.
-void Scheduler::queue_if_orphaned(Frame& frame, const TileTask& name, Task& task) const {
-    if (task.done || task.queued) return;
+void Scheduler::queue_if_orphaned(Frame& frame, std::uint32_t run, const TileTask& name) const {
+    Task& task = *find(frame, run, name);
+    if (task.done || task.queued || is_cut(frame, run, name)) return;
     for (std::uint32_t l = task.leases; l != none; l = leases_[l].next)
         if (!leases_[l].expired) return;
     task.queued = true;
@@ -318,10 +369,10 @@ void Scheduler::end_leases_of(Slot worker, const Frame* only) {
         if (leases_[l].worker != worker || (only && only->spec.frame != leases_[l].task.frame))
             continue;
         const TileTask name = leases_[l].task;
+        const std::uint32_t run = leases_[l].run;
         Frame& frame = frames_.at(name.frame);
-        Task& task = *find(frame, leases_[l].run, name);
-        end_lease(frame, task, l);
-        queue_if_orphaned(frame, name, task);
+        end_lease(frame, *find(frame, run, name), l);
+        queue_if_orphaned(frame, run, name);
     }
 }
 
@@ -340,7 +391,7 @@ void Scheduler::expire(TimePoint now) {
         ++workers_[lease.worker].expired;
         workers_[lease.worker].overdue = true;
         crew_changed();
-        queue_if_orphaned(frame, lease.task, *find(frame, lease.run, lease.task));
+        queue_if_orphaned(frame, lease.run, lease.task);
     }
 }
 
@@ -361,11 +412,7 @@ Answer Scheduler::completed(std::uint64_t worker, const TileTask& name, TimePoin
     workers_[slot->second].overdue = false;
     const float cost = learn(slot->second, frame, leases_[index], now, render_seconds);
     const Answer answer = task->done ? Answer::duplicate : Answer::first;
-    task->done = true;
-    if (answer == Answer::first) {
-        frame.work_left = std::max(0.0, frame.work_left - double(cost_of(frame, name)));
-        measure(frame, *run, name, cost);
-    }
+    if (answer == Answer::first) finish_tile(frame, *run, name, cost);
     end_lease(frame, *task, index);
     while (!frame.open.empty() && frame.open.front().unsettled == 0) {
         frame.open.pop_front();
@@ -398,16 +445,6 @@ float Scheduler::learn(Slot worker, Frame& frame, const Lease& lease, TimePoint 
     }
     set_limit(worker);
     return spent > 0 ? float(spent / w.task_seconds) : lease.cost;
-}
-
-/// Enters what a task has cost into the map, once all of its tile has been measured.
-void Scheduler::measure(Frame& frame, std::uint32_t run, const TileTask& name, float cost) {
-    std::vector<Task>& tasks = frame.open[run - frame.first_open].tasks;
-    Task& tile = tasks[name.tile];
-    tile.cost += cost;
-    const auto parts = std::span(tasks).subspan(name.part == 0 ? name.tile : tile.quarters,
-                                                name.part == 0 ? 1 : quarters);
-    if (std::ranges::all_of(parts, &Task::done)) frame.costs.measure(name.tile, tile.cost);
 }
 
 /// Handing out to answer when its thread has to do `ahead` up to then; 0: not known.
@@ -589,7 +626,9 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
         const Task& task = *find(frame, l.run, l.task);
         std::size_t copies = 0;
         for (std::uint32_t i = task.leases; i != none; i = leases_[i].next) ++copies;
-        if (task.done || copies >= config_.most_copies || &leases_[task.leases] != &l) continue;
+        if (task.done || copies >= config_.most_copies || &leases_[task.leases] != &l ||
+            task.quarters != none)
+            continue;
         const double expected = expected_seconds(l, frame);
         const TimePoint late_at = l.issued + seconds(config_.late * expected);
         if (late_at > now) next_late_ = std::min(next_late_, late_at);
@@ -601,23 +640,36 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
     std::sort(late.begin(), late.end(), [](auto& a, auto& b) { return a.at > b.at; });
     std::sort(slow.begin(), slow.end(), [](auto& a, auto& b) { return a.at < b.at; });
 
-    // Give each idle worker the oldest of the late ones, or the one that is to take longest.
+    // Give each idle worker the oldest of the late ones, or the one that is to take longest; or a
+    // quarter of it, and others to those that come next.
+    const auto give_quarter = [&](Slot slot) {
+        const auto name = lost_task_for(slot, frame);
+        if (name) lease(slot, frame, *name, now, out);
+        return name.has_value();
+    };
     const auto give = [&](Slot slot, std::vector<Candidate>& from) {
         for (std::size_t i = from.size(); i-- > 0;) {
             const TileTask name = from[i].name;
-            if (holds(*find(frame, *run_of(frame.spec, name), name), slot)) continue;
+            const std::uint32_t run = *run_of(frame.spec, name);
+            if (holds(*find(frame, run, name), slot)) continue;
             from.erase(from.begin() + std::ptrdiff_t(i));
+            if (can_cut_late(frame, run, name)) {
+                cut_late(frame, run, name);
+                return give_quarter(slot);
+            }
             lease(slot, frame, name, now, out);
             return true;
         }
         return false;
     };
     for (const Slot slot : waiting_) {
-        while (idle(slot) && give(slot, late)) {
+        while (idle(slot) && (give_quarter(slot) || give(slot, late))) {
         }
         while (idle(slot) && !slow.empty()) {
             const Worker& w = workers_[slot];
-            const double own = seconds_for(w, cost_of(frame, slow.back().name));
+            const TileTask& name = slow.back().name;
+            const bool cuts = can_cut_late(frame, *run_of(frame.spec, name), name);
+            const double own = seconds_for(w, cost_of(frame, name) / (cuts ? quarters : 1));
             const double left = std::chrono::duration<double>(slow.back().at - now).count();
             if (own == 0 || own > config_.faster * left || !give(slot, slow)) break;
         }

@@ -14,8 +14,8 @@
 //   - a worker gets none of the last tiles that it would finish after everybody else,
 //   - tiles that would take a thread long for what is left go out in quarters: towards the end of a
 //     frame, and all of them where there are many threads for few tiles (Polychronopoulos and Kuck,
-//     "Guided Self-Scheduling", 1987, with two sizes). A tile is cut or not once in each run,
-//     before it goes out.
+//     "Guided Self-Scheduling", 1987, with two sizes). So, to idle hands, do tiles that are
+//     late.
 //
 // Pure: events and a `now` in, assignments out.
 #pragma once
@@ -163,7 +163,7 @@ private:
     };
     struct Task {
         std::uint32_t leases = none;    ///< the oldest
-        std::uint32_t quarters = none;  ///< where the first of four is that have taken its place
+        std::uint32_t quarters = none;  ///< of a tile that is cut: where its first quarter is
         float cost = 0;                 ///< of what has been answered
         bool handed_out = false;
         bool done = false;
@@ -212,10 +212,16 @@ private:
     static Task* find(Frame& frame, std::uint32_t run, const TileTask& name);
     static Run& open_run(Frame& frame, std::uint32_t run);
     static void cut(Run& run, std::uint32_t tile);
-    static double work_left(const Frame& frame, const Run& run);
+    static bool is_cut(Frame& frame, std::uint32_t run, const TileTask& name);
+    static void finish(Run& run, Task& task);
+    static void finish_tile(Frame& frame, std::uint32_t run, const TileTask& name, float cost);
+    static double work_left(const Frame& frame, const Run& run, std::uint32_t tile);
+    bool quarters_suit_server(const Frame& frame, std::uint32_t tile) const;
+    bool can_cut_late(Frame& frame, std::uint32_t run, const TileTask& name) const;
+    static void cut_late(Frame& frame, std::uint32_t run, const TileTask& name);
     bool pays_to_cut(const Frame& frame, std::uint32_t tile) const;
     bool holds(const Task& task, Slot worker) const;
-    void queue_if_orphaned(Frame& frame, const TileTask& name, Task& task) const;
+    void queue_if_orphaned(Frame& frame, std::uint32_t run, const TileTask& name) const;
 
     void lease(Slot worker, Frame& frame, const TileTask& name, TimePoint now,
                std::vector<Assignment>& out);
@@ -228,7 +234,6 @@ private:
 
     float learn(Slot worker, Frame& frame, const Lease& lease, TimePoint now,
                 std::optional<double> render_seconds);
-    static void measure(Frame& frame, std::uint32_t run, const TileTask& name, float cost);
     void set_limit(Slot worker);
     void measure_crew(Frame& frame, TimePoint now) const;
     static double seconds_for(const Worker& worker, double ahead);

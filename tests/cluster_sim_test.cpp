@@ -23,7 +23,7 @@ TEST(ClusterSim, laws_hold_under_random_faults) {
         ASSERT_TRUE(report.broken.empty()) << "schedule " << seed << ", " << report.broken.front();
         quarters += report.quarters;
     }
-    EXPECT_GT(quarters, 100 * schedules);
+    EXPECT_GT(quarters, 10 * schedules);
 }
 
 TEST(ClusterSim, frames_in_flight_share_the_workers) {

@@ -101,6 +101,23 @@ TEST(Frame, any_order_and_duplication_gives_the_same_bits) {
     }
 }
 
+TEST(Frame, a_tile_may_come_after_some_of_its_quarters) {
+    const FrameSpec spec = small_frame(Integrator::igi, 2);
+    const Assembly expected = assemble_in_order(spec);
+    Assembly frame(spec);
+    for (const TileTask& task : all_tasks(spec)) {
+        TileTask part = task;
+        part.part = can_be_cut(spec.size, task.tile) ? 1 + task.tile % quarters : 0;
+        EXPECT_EQ(frame.add(part), Arrival::stored);
+        EXPECT_EQ(frame.add(task), part.part > 0 ? Arrival::stored : Arrival::duplicate);
+        EXPECT_EQ(frame.add(part), Arrival::duplicate);
+        frame.fold(spec.size.height);
+    }
+    EXPECT_TRUE(frame.assembler.finished());
+    expect_same_bits(frame, expected);
+    EXPECT_EQ(frame.sums.lights(100), expected.sums.lights(100));
+}
+
 TEST(Frame, lights_that_send_most_are_told_by_number) {
     const Assembly frame = assemble_in_order(small_frame(Integrator::igi, 2));
     const std::vector<LightEstimate> all = frame.sums.lights(100), most = frame.sums.lights(5);

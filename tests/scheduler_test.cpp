@@ -54,7 +54,7 @@ private:
         FrameSpec spec;
         std::uint32_t runs;
         std::uint32_t window;
-        std::set<TileTask> delivered;
+        std::map<std::pair<std::uint32_t, std::uint32_t>, unsigned> delivered;  ///< by run and tile
     };
     struct Worker {
         std::uint32_t limit;
@@ -182,8 +182,12 @@ private:
         ASSERT_EQ(answer == Answer::unknown, !held);
         if (!held) return;
         Frame& frame = frames_.at(work.task.frame);
-        ASSERT_EQ(answer == Answer::first, frame.delivered.insert(work.task).second)
-            << "delivered twice";
+        // With a tile all its quarters are delivered, whoever else is at them.
+        const unsigned all = (1u << quarters) - 1, part = work.task.part;
+        const unsigned these = part == 0 ? all : 1u << (part - 1);
+        unsigned& there = frame.delivered[{*run_of(frame.spec, work.task), work.task.tile}];
+        ASSERT_EQ(answer == Answer::first, (there & these) != these) << "delivered twice, or never";
+        there |= these;
         scheduler_.allow_runs(work.task.frame, complete_runs(frame) + frame.window);
         if (complete_runs(frame) >= frame.runs) end_frame(work.task.frame);
     }
@@ -192,9 +196,9 @@ private:
     std::uint32_t complete_runs(const Frame& frame) const {
         std::uint32_t run = 0;
         std::vector<std::uint32_t> tiles(run_count(frame.spec.settings));
-        for (const TileTask& task : frame.delivered)
-            tiles[*run_of(frame.spec, task)] += quarters_of({task});
-        while (run < tiles.size() && tiles[run] == quarters * tile_count(frame.spec.size)) ++run;
+        for (const auto& [place, there] : frame.delivered)
+            tiles[place.first] += there == (1u << quarters) - 1;
+        while (run < tiles.size() && tiles[run] == tile_count(frame.spec.size)) ++run;
         return run;
     }
 
@@ -315,8 +319,39 @@ TEST(Scheduler, idle_hands_double_what_is_late_at_the_end_of_a_frame) {
     EXPECT_TRUE(scheduler.assign(start + milliseconds(11)).empty());
     ASSERT_EQ(scheduler.next_deadline(), start + milliseconds(20));
     const auto doubled = scheduler.assign(start + milliseconds(20));
-    ASSERT_EQ(doubled.size(), 1u) << "one copy is enough";
-    EXPECT_EQ(doubled[0].task, out[2].task);
+    ASSERT_EQ(doubled.size(), 2u) << "a quarter each";
+    for (const Assignment& a : doubled) EXPECT_EQ(a.task.tile, out[2].task.tile);
+    EXPECT_NE(doubled[0].task.part, 0u);
+    EXPECT_NE(doubled[0].task.part, doubled[1].task.part);
+    const auto now = start + milliseconds(21);
+    EXPECT_EQ(scheduler.completed(doubled[0].worker, doubled[0].task, now), Answer::first);
+    EXPECT_EQ(scheduler.completed(out[2].worker, out[2].task, now), Answer::first);
+    EXPECT_EQ(scheduler.completed(doubled[1].worker, doubled[1].task, now), Answer::duplicate);
+    EXPECT_TRUE(scheduler.assign(now).empty());
+}
+
+TEST(Scheduler, quarters_go_on_when_who_holds_their_tile_is_lost) {
+    Scheduler scheduler({.prefetch = 0});
+    scheduler.add_frame(frame_of(1, {32, 16}, 1), 1);
+    for (std::uint64_t worker : {1, 2}) add_ready(scheduler, worker, 1);
+    const TimePoint start{};
+    const auto out = scheduler.assign(start);
+    ASSERT_EQ(out.size(), 2u);
+    scheduler.completed(out[0].worker, out[0].task, start + milliseconds(10));
+    TimePoint now = start + milliseconds(20);
+    std::vector<Assignment> work = scheduler.assign(now);
+    scheduler.remove_worker(out[1].worker);
+    std::set<std::uint32_t> parts;
+    while (!work.empty()) {
+        now += milliseconds(1);
+        for (const auto& [worker, task] : work) {
+            EXPECT_EQ(task.tile, out[1].task.tile);
+            EXPECT_TRUE(parts.insert(task.part).second);
+            EXPECT_EQ(scheduler.completed(worker, task, now), Answer::first);
+        }
+        work = scheduler.assign(now);
+    }
+    EXPECT_EQ(parts, (std::set<std::uint32_t>{1, 2, 3, 4}));
 }
 
 }  // namespace

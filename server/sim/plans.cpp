@@ -92,7 +92,7 @@ std::vector<Plan> simulate_plans(Plans wanted) {
         SimConfig config = full_hd(workers, 0.01);
         config.threads = 4;
         config.size = {640, 480};
-        config.frames = 12;
+        config.frames = 6;
         add_both(fmt::format("{} workers of 4 threads, 640x480, 10 ms", workers), config, {},
                  plans);
     }
