@@ -248,7 +248,7 @@ void Scheduler::finish_tile(Frame& frame, std::uint32_t number, const TileTask& 
 /// Whether the tile would still be under way when there is little else left to do, and its quarters
 /// are large enough for the server. What others have to do counts: nobody is idle meanwhile.
 bool Scheduler::pays_to_cut(const Frame& frame, std::uint32_t tile) const {
-    if (!quarters_suit_server(frame, tile)) return false;
+    if (!quarters_suit_server(frame, tile, frame.crew.threads)) return false;
     const double cost = double(frame.costs.predicted(tile));
     double left = 0;
     for (const auto& [id, other] : frames_)
@@ -257,20 +257,19 @@ bool Scheduler::pays_to_cut(const Frame& frame, std::uint32_t tile) const {
     return config_.fineness * feared > left / frame.crew.threads;
 }
 
-/// Whether there are any, and they take long enough.
-bool Scheduler::quarters_suit_server(const Frame& frame, std::uint32_t tile) const {
+/// Whether there are any, and the server can take them from so many threads.
+bool Scheduler::quarters_suit_server(const Frame& frame, std::uint32_t tile, double threads) const {
     const Crew& crew = frame.crew;
     if (crew.speed == 0 || !can_be_cut(frame.spec.size, tile)) return false;
     const double server_seconds = std::chrono::duration<double>(config_.server_time).count();
     return double(frame.costs.predicted(tile)) / quarters * crew.task_seconds >=
-           crew.threads * server_seconds;
+           threads * server_seconds;
 }
 
-/// Whether a tile that is out can be done sooner by several: those that are idle, so that the
-/// server is not in the way.
+/// Whether idle hands may share a tile that is out. Such are few: the server does not mind.
 bool Scheduler::can_cut_late(Frame& frame, std::uint32_t run, const TileTask& name) const {
     return config_.fineness > 0 && name.part == 0 && !find(frame, run, name)->queued &&
-           can_be_cut(frame.spec.size, name.tile);
+           quarters_suit_server(frame, name.tile, 1);
 }
 
 /// The quarters of a tile that is out go to whoever is idle next.
@@ -614,6 +613,7 @@ void Scheduler::double_late(Frame& frame, TimePoint now, std::vector<Assignment>
         return;
     }
     frame.next_search = now + seconds(crew_refresh * frame.task_seconds);
+    measure_crew(frame, now);
 
     // Find what is late, and what is not yet with the time at which it should be done.
     struct Candidate {

@@ -14,8 +14,7 @@
 //   - a worker gets none of the last tiles that it would finish after everybody else,
 //   - tiles that would take a thread long for what is left go out in quarters: towards the end of a
 //     frame, and all of them where there are many threads for few tiles (Polychronopoulos and Kuck,
-//     "Guided Self-Scheduling", 1987, with two sizes). So, to idle hands, do tiles that are
-//     late.
+//     "Guided Self-Scheduling", 1987, with two sizes); and late tiles, to idle hands.
 //
 // Pure: events and a `now` in, assignments out.
 #pragma once
@@ -80,7 +79,7 @@ enum class Answer : std::uint8_t {
 /// What the scheduler knows of a worker.
 struct WorkerPace {
     std::uint32_t leases = 0;  ///< tasks it holds
-    std::uint32_t limit = 0;   ///< and holds at most
+    std::uint32_t limit = 0;   ///< and holds at most; in whole tiles
     double round_trip = 0;     ///< seconds
     double task_seconds = 0;   ///< a thread's for an average task; 0: not known yet
     bool retired = false;
@@ -171,7 +170,7 @@ private:
     };
     /// A run of which tasks have been handed out.
     struct Run {
-        std::vector<Task> tasks;      ///< by tile; then the quarters of those that are cut
+        std::vector<Task> tasks;      ///< by tile; then the quarters of tiles that are cut
         std::uint32_t unsettled = 0;  ///< tasks not done, or still in somebody's hands
     };
     /// What the workers that may be trusted with a frame can do together.
@@ -216,7 +215,7 @@ private:
     static void finish(Run& run, Task& task);
     static void finish_tile(Frame& frame, std::uint32_t run, const TileTask& name, float cost);
     static double work_left(const Frame& frame, const Run& run, std::uint32_t tile);
-    bool quarters_suit_server(const Frame& frame, std::uint32_t tile) const;
+    bool quarters_suit_server(const Frame& frame, std::uint32_t tile, double threads) const;
     bool can_cut_late(Frame& frame, std::uint32_t run, const TileTask& name) const;
     static void cut_late(Frame& frame, std::uint32_t run, const TileTask& name);
     bool pays_to_cut(const Frame& frame, std::uint32_t tile) const;

@@ -82,7 +82,7 @@ std::vector<Plan> simulate_plans(Plans wanted) {
             const std::string name =
                 fmt::format("{} workers, {:g} ms tiles", workers, 1e3 * tile_seconds);
             const SimConfig config = full_hd(workers, tile_seconds);
-            if (workers <= 1000)
+            if (workers <= 1000 && wanted != Plans::small)
                 add_both(name, config, goal, plans);
             else
                 plans.push_back(efficiency_of(name, config, goal));

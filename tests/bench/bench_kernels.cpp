@@ -8,9 +8,11 @@
 
 #include "common/check.h"
 #include "common/discontinuity.h"
+#include "common/generator.h"
 #include "common/message_codec.h"
 #include "common/tile_codec.h"
 #include "common/tone_map.h"
+#include "worker/renderer.h"
 #include "worker/sampling.h"
 
 namespace tessera {
@@ -98,6 +100,36 @@ void send_and_receive_tiles(benchmark::State& state) {
     state.SetItemsProcessed(state.iterations() * state.range(0));
 }
 BENCHMARK(send_and_receive_tiles)->Arg(1)->Arg(20);
+
+/// What all pixels' bits add up to, in any order.
+std::uint64_t render_tiles(const Renderer& renderer, const FrameSpec& spec, bool cut) {
+    std::uint64_t sum = 0;
+    for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
+        for (std::uint32_t part = cut; part <= (cut ? quarters : 0); ++part)
+            for (const float v : renderer.render({spec.frame, tile, 0, 1, part})->data)
+                sum += std::bit_cast<std::uint32_t>(v);
+    return sum;
+}
+
+/// A picture whole tile by whole tile (0), or in quarters (1): cutting costs what is more.
+void render_a_picture(benchmark::State& state, const char* scene) {
+    const SceneBundle bundle = *generate_scene(scene);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    FrameSpec spec;
+    spec.frame = 1;
+    spec.size = {320, 240};
+    spec.camera = bundle.scene.cameras.at(0);
+    spec.settings.vpls = 8;
+    renderer.begin_frame(spec);
+    const std::uint64_t expected = render_tiles(renderer, spec, false);
+    std::uint64_t sum = 0;
+    for (auto _ : state) sum = render_tiles(renderer, spec, state.range(0) == 1);
+    CHECK_EQ(sum, expected);
+    state.SetItemsProcessed(state.iterations() * std::int64_t(spec.size.pixels()));
+}
+BENCHMARK_CAPTURE(render_a_picture, cornell, "cornell")->Arg(0)->Arg(1);
+BENCHMARK_CAPTURE(render_a_picture, office, "office")->Arg(0)->Arg(1);
+BENCHMARK_CAPTURE(render_a_picture, kitchen, "kitchen")->Arg(0)->Arg(1);
 
 void draw_sample_points(benchmark::State& state) {
     vec2 sum(0);
