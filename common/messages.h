@@ -11,7 +11,7 @@
 //   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
 //                      EditResult, FrameProgress, SumsChunk*, PictureChunk*, ViewPicture,
 //                      FrameDone, Failure, Status, Ping, Pong
-//   worker -> worker   Hello, BlobRequest; and back Welcome | Refused, BlobChunk*, Failure
+//   worker -> worker   Hello, BlobRequest; and back Welcome | Refused, BlobChunk*
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
 
