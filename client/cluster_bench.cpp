@@ -98,6 +98,7 @@ Load::Load(const ClusterBenchConfig& config, const SceneBundle& bundle, Interrup
                                            .workers = config.workers,
                                            .threads = std::uint32_t(config.threads),
                                            .tile_seconds = config.tile_seconds,
+                                           .relays = config.relays,
                                            .spread = config.spread});
     for (const Camera& camera : config.path) {
         FrameRequest request;

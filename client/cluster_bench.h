@@ -19,6 +19,7 @@ struct ClusterBenchConfig {
     int workers = 1;
     int threads = 1;  ///< render threads of each worker
     bool synthetic = false;
+    bool relays = false;      ///< of synthetic workers
     double tile_seconds = 0;  ///< of synthetic workers
     double spread = 0.5;
     int viewers = 1;

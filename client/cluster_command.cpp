@@ -371,6 +371,10 @@ void add_cluster_command(CLI::App* bench) {
                      "HOST:PORT of a server to load, with --viewers 0 by workers alone, with "
                      "--workers 0 by viewers alone")
         ->needs(synthetic);
+    command
+        ->add_flag("--relays", o.config.relays,
+                   "synthetic: get meshes and textures from one another, as real workers do")
+        ->needs(synthetic);
     command->add_option("--tile-ms", o.tile_ms, "synthetic: mean time of a tile")
         ->check(CLI::NonNegativeNumber);
     command

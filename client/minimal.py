@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 
-PROTOCOL = 4
+PROTOCOL = 5
 HEADER = struct.Struct("<4sHHII")  # magic, kind, reserved, message bytes, payload bytes
 PROTO = pathlib.Path(__file__).resolve().parent.parent / "proto"
 

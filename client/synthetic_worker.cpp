@@ -12,6 +12,7 @@
 
 #include "common/check.h"
 #include "common/log.h"
+#include "common/relay.h"
 
 namespace tessera {
 namespace {
@@ -69,11 +70,13 @@ public:
     asio::awaitable<void> run() {
         const auto self = shared_from_this();
         connection_ = co_await connect(config_.server, config_.credentials.tls);
+        if (config_.relays) relay_ = Relay::listen(*connection_, config_.credentials.relay, 0);
         connection_->send({Hello{.role = Role::worker,
                                  .build = TESSERA_VERSION,
                                  .token = config_.credentials.token,
                                  .name = fmt::format("synthetic-{}", number_ + 1),
-                                 .threads = config_.threads},
+                                 .threads = config_.threads,
+                                 .relay_port = relay_ ? relay_->port() : std::uint16_t(0)},
                            {}});
         for (;;) {
             handle(co_await connection_->receive());
@@ -84,6 +87,7 @@ public:
 
     void kill() {
         if (connection_) connection_->close();
+        if (relay_) relay_->close();
     }
     void hang() { hangs_ = true; }
     std::uint64_t results() const { return results_; }
@@ -100,7 +104,17 @@ private:
         } else if (const auto* end = message.get<FrameEnd>()) {
             frames_.erase(end->frame);
         } else if (const auto* ping = message.get<Ping>()) {
-            connection_->send({Pong{ping->stamp}, {}});
+            connection_->send(
+                {Pong{.stamp = ping->stamp, .relayed_bytes = relay_ ? relay_->bytes_sent() : 0},
+                 {}});
+        } else if (const auto* welcome = message.get<Welcome>()) {
+            if (relay_)
+                relay_->begin(welcome->relay_token, receiver_, connection_,
+                              [weak = weak_from_this()] {
+                                  if (const auto self = weak.lock()) self->tell_if_whole();
+                              });
+        } else if (relay_ && keep(message)) {
+            tell_if_whole();
         } else if (const auto* update = message.get<SceneUpdate>()) {
             ask_for_blobs(*update);
         } else if (const auto* chunk = message.get<BlobChunk>()) {
@@ -109,6 +123,32 @@ private:
         } else if (const auto* refused = message.get<Refused>()) {
             throw UserError(refused->reason);
         }
+    }
+
+    /// Takes a message about scenes as a real worker does; returns whether it was one.
+    bool keep(const Message& message) {
+        if (const auto* update = message.get<SceneUpdate>()) {
+            connection_->send({receiver_->update(*update), {}});
+        } else if (const auto* chunk = message.get<BlobChunk>()) {
+            receiver_->add(*chunk, message.payload.bytes);
+            relay_->arrived();
+        } else if (const auto* source = message.get<BlobSource>()) {
+            relay_->pull(*source);
+        } else if (const auto* drop = message.get<SceneDrop>()) {
+            receiver_->drop(drop->scene);
+        } else {
+            return false;
+        }
+        return true;
+    }
+
+    void tell_if_whole() {
+        while (const auto ready = receiver_->take_ready())
+            connection_->send({SceneReady{.scene = ready->name,
+                                          .version = ready->scene->version,
+                                          .modelled = {},
+                                          .left_out = {}},
+                               {}});
     }
 
     /// All that the update brings anew: what is thrown away is asked for again when it comes back.
@@ -177,6 +217,8 @@ private:
     int number_;
     std::shared_ptr<const Noise> noise_;
     std::shared_ptr<Connection> connection_;
+    std::shared_ptr<Relay> relay_;  ///< null: keeps nothing
+    std::shared_ptr<SceneReceiver> receiver_ = std::make_shared<SceneReceiver>();
     std::map<std::uint64_t, FrameSpec> frames_;
     std::deque<TileTask> waiting_;
     std::size_t blobs_missing_ = 0;

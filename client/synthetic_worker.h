@@ -20,6 +20,7 @@ struct SyntheticConfig {
     int workers = 1;
     std::uint32_t threads = 1;
     double tile_seconds = 0;  ///< mean time of a task on one thread; 0: none
+    bool relays = false;      ///< keep meshes and textures, and pass them on to one another
     double spread = 0.5;      ///< standard deviation of its logarithm, from tile to tile
 };
 

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <boost/asio/ssl/context.hpp>
 #include <boost/asio/ssl/error.hpp>
+#include <limits>
 #include <utility>
 
 #include "common/check.h"
@@ -129,6 +130,8 @@ Connection::Connection(tcp::socket socket, const ConnectionConfig& config,
     error_code ignored;
     socket_.set_option(tcp::no_delay(true), ignored);
     keep_alive(socket_);
+    const tcp::endpoint here = socket_.local_endpoint(ignored);
+    local_address_ = here.address();
 }
 
 Connection::~Connection() = default;
@@ -180,6 +183,14 @@ std::string Connection::peer_name() const {
     X509_NAME_get_text_by_NID(X509_get_subject_name(certificate.get()), NID_commonName, name,
                               sizeof name);
     return name;
+}
+
+LinkSpeed Connection::link() {
+    if (!socket_.is_open()) return {};
+    LinkSpeed link = link_speed(socket_.native_handle());
+    if (local_address_.is_loopback())
+        link.bytes_per_second = std::numeric_limits<double>::infinity();
+    return link;
 }
 
 asio::awaitable<Message> Connection::receive(std::optional<Clock::duration> silence) {

@@ -22,6 +22,7 @@
 #include "common/keys.h"
 #include "common/message_codec.h"
 #include "common/messages.h"
+#include "common/tcp_link.h"
 
 namespace tessera {
 
@@ -98,6 +99,10 @@ public:
     asio::any_io_executor executor() { return socket_.get_executor(); }
     /// "host:port" of the peer, for logs.
     const std::string& remote_address() const { return remote_address_; }
+    /// Of this end.
+    asio::ip::address local_address() const { return local_address_; }
+    /// As it is now; on loopback the speed is infinite.
+    LinkSpeed link();
 
 private:
     struct Tunnel;
@@ -132,6 +137,7 @@ private:
     ConnectionConfig config_;
     FrameLimits limits_;
     std::string remote_address_;
+    asio::ip::address local_address_;
     Lane control_;
     Lane bulk_;
     std::size_t queued_bytes_ = 0;

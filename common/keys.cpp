@@ -11,6 +11,7 @@
 #include <cstring>
 #include <fstream>
 
+#include "common/blob.h"
 #include "common/check.h"
 
 namespace tessera {
@@ -87,6 +88,8 @@ Tls::Tls(const fs::path& folder, Side side)
             context_->use_private_key_file(file, ssl::context::pem, e);
         });
     }
+    // The certificate that proves a worker to the server proves it to other workers, too.
+    if (side == Side::peer) SSL_CTX_set_purpose(context_->native_handle(), X509_PURPOSE_SSL_CLIENT);
     // OpenSSL also checks that the peer's certificate is made for its side. A viewer has none; that
     // a worker has one the server asks after its Hello.
     context_->set_verify_mode(ssl::verify_peer);
@@ -99,11 +102,26 @@ Credentials load_credentials(fs::path folder) {
     };
     if (folder.empty()) folder = environment("TESSERA_KEYS");
     if (folder.empty()) return {environment("TESSERA_TOKEN"), nullptr};
-    return {read_token(folder / "token"), std::make_shared<const Tls>(folder, Tls::Side::client)};
+    Credentials out{read_token(folder / "token"),
+                    std::make_shared<const Tls>(folder, Tls::Side::client)};
+    if (fs::exists(folder / "certificate.crt"))
+        out.relay = {std::make_shared<const Tls>(folder, Tls::Side::server),
+                     std::make_shared<const Tls>(folder, Tls::Side::peer)};
+    return out;
 }
 
 ServerKeys load_server_keys(const fs::path& folder) {
     return {read_tokens(folder / "tokens"), std::make_shared<const Tls>(folder, Tls::Side::server)};
+}
+
+bool same_token(const std::string& a, const std::string& b) {
+    const auto digest = [](const std::string& s) {
+        return blob_id(std::as_bytes(std::span(s))).digest;
+    };
+    const auto da = digest(a), db = digest(b);
+    unsigned difference = 0;
+    for (std::size_t i = 0; i < da.size(); ++i) difference |= unsigned(da[i] ^ db[i]);
+    return difference == 0;
 }
 
 std::string random_token() {

@@ -33,7 +33,8 @@ inline constexpr const char* worker_common_name = "tessera-worker";
 /// Certificates ready for use, TLS 1.3 only. Any number of connections share one.
 class Tls {
 public:
-    enum class Side : std::uint8_t { server, client };
+    /// A peer is a worker who comes to another one, and expects a worker's certificate.
+    enum class Side : std::uint8_t { server, client, peer };
 
     /// Reads the folder's certificates. Throws UserError naming the file and what to do, also when
     /// others than its owner may read the private key.
@@ -47,10 +48,17 @@ private:
     std::shared_ptr<boost::asio::ssl::context> context_;
 };
 
+/// Of workers towards one another: a side each, both null: plain TCP.
+struct RelayKeys {
+    std::shared_ptr<const Tls> accept;
+    std::shared_ptr<const Tls> connect;
+};
+
 /// A worker's or viewer's side.
 struct Credentials {
     std::string token;               ///< empty: none
     std::shared_ptr<const Tls> tls;  ///< null: plain TCP
+    RelayKeys relay{};               ///< a worker's
 };
 
 /// Of the folder, or where that is empty of the folder that TESSERA_KEYS names, or else the token
@@ -67,6 +75,9 @@ ServerKeys load_server_keys(const std::filesystem::path& folder);
 /// Makes a private authority and the folders server, worker, editor and viewer in `folder`, which
 /// must not exist yet. Throws UserError.
 void make_keys(const std::filesystem::path& folder);
+
+/// Takes the same time wherever the tokens differ and however long they are.
+bool same_token(const std::string& a, const std::string& b);
 
 /// 256 random bits from the kernel, in hexadecimal.
 std::string random_token();

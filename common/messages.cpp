@@ -116,6 +116,7 @@ void pack(const WorkerStatus& v, wire::WorkerStatus& out) {
     out.set_memory_bytes(v.memory_bytes);
     out.set_overdue(v.overdue);
     out.set_busy_seconds(v.busy_seconds);
+    out.set_relayed_bytes(v.relayed_bytes);
 }
 void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.peer = in.peer();
@@ -131,6 +132,7 @@ void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.memory_bytes = in.memory_bytes();
     v.overdue = in.overdue();
     v.busy_seconds = amount(in.busy_seconds(), "busy_seconds");
+    v.relayed_bytes = in.relayed_bytes();
 }
 
 void pack(const SceneStatus& v, wire::SceneStatus& out) {
@@ -458,10 +460,28 @@ void unpack(const wire::SceneUpdate& in, SceneUpdate& v) {
 void pack(const BlobRequest& v, wire::BlobRequest& out) {
     out.set_scene(v.scene);
     pack_each(v.blobs, *out.mutable_blobs());
+    out.set_failed_peer(v.failed_peer);
 }
 void unpack(const wire::BlobRequest& in, BlobRequest& v) {
     v.scene = in.scene();
     unpack_each(in.blobs(), v.blobs);
+    v.failed_peer = in.failed_peer();
+}
+
+void pack(const BlobSource& v, wire::BlobSource& out) {
+    out.set_peer(v.peer);
+    out.set_address(v.address);
+    pack_each(v.blobs, *out.mutable_blobs());
+    out.mutable_bytes()->Assign(v.bytes.begin(), v.bytes.end());
+}
+void unpack(const wire::BlobSource& in, BlobSource& v) {
+    if (in.peer() == 0) refuse("peer is 0");
+    if (in.blobs_size() != in.bytes_size())
+        refuse("{} blobs, but the sizes of {}", in.blobs_size(), in.bytes_size());
+    v.peer = in.peer();
+    v.address = short_text(in.address(), "address");
+    unpack_each(in.blobs(), v.blobs);
+    v.bytes.assign(in.bytes().begin(), in.bytes().end());
 }
 
 void pack(const BlobChunk& v, wire::BlobChunk& out) {
@@ -659,6 +679,7 @@ void pack(const Hello& v, wire::Hello& out) {
     out.set_token(v.token);
     out.set_name(v.name);
     out.set_threads(v.threads);
+    out.set_relay_port(v.relay_port);
 }
 void unpack(const wire::Hello& in, Hello& v) {
     v.protocol = in.protocol();
@@ -667,17 +688,20 @@ void unpack(const wire::Hello& in, Hello& v) {
     v.token = short_text(in.token(), "token");
     v.name = short_text(in.name(), "name");
     v.threads = in.threads();
+    v.relay_port = std::uint16_t(in_range(in.relay_port(), 0u, 65535u, "relay_port"));
 }
 
 void pack(const Welcome& v, wire::Welcome& out) {
     out.set_peer(v.peer);
     out.set_build(v.build);
     pack_texts(v.scenes, *out.mutable_scenes());
+    out.set_relay_token(v.relay_token);
 }
 void unpack(const wire::Welcome& in, Welcome& v) {
     v.peer = in.peer();
     v.build = in.build();
     v.scenes = unpack_texts(in.scenes());
+    v.relay_token = short_text(in.relay_token(), "relay_token");
 }
 
 void pack(const Refused& v, wire::Refused& out) { out.set_reason(v.reason); }
@@ -689,10 +713,12 @@ void unpack(const wire::Ping& in, Ping& v) { v.stamp = in.stamp(); }
 void pack(const Pong& v, wire::Pong& out) {
     out.set_stamp(v.stamp);
     out.set_memory_bytes(v.memory_bytes);
+    out.set_relayed_bytes(v.relayed_bytes);
 }
 void unpack(const wire::Pong& in, Pong& v) {
     v.stamp = in.stamp();
     v.memory_bytes = in.memory_bytes();
+    v.relayed_bytes = in.relayed_bytes();
 }
 
 void pack(const Leave&, wire::Leave&) {}
@@ -1057,7 +1083,8 @@ using Kinds = Table<
     Entry<ViewPicture, wire::ViewPicture, wire::KIND_VIEW_PICTURE>,
     Entry<Leave, wire::Leave, wire::KIND_LEAVE>,
     Entry<FrameSave, wire::FrameSave, wire::KIND_FRAME_SAVE>,
-    Entry<SumsChunk, wire::SumsChunk, wire::KIND_SUMS_CHUNK>>;
+    Entry<SumsChunk, wire::SumsChunk, wire::KIND_SUMS_CHUNK>,
+    Entry<BlobSource, wire::BlobSource, wire::KIND_BLOB_SOURCE>>;
 
 /// Calls `f` with the entry for which `wanted(entry)` holds; returns whether there is one.
 template <class... Entries, class Wanted, class F>

@@ -7,11 +7,11 @@
 //                      SceneEdit, View, ViewEnd, FrameRequest, SumsChunk*, FrameSave, FrameCancel,
 //                      StatusRequest, Ping, Pong
 //   server -> worker   Welcome | Refused, SceneUpdate, BlobChunk*, SceneDrop, FrameBegin,
-//   TileTasks,
-//                      FrameEnd, Ping
+//                      BlobSource, TileTasks, FrameEnd, Ping
 //   server -> viewer   Welcome | Refused, BlobRequest, SceneReady, SceneUpdate, BlobChunk*,
 //                      EditResult, FrameProgress, SumsChunk*, PictureChunk*, ViewPicture,
 //                      FrameDone, Failure, Status, Ping, Pong
+//   worker -> worker   Hello, BlobRequest; and back Welcome | Refused, BlobChunk*
 // (* carries a raw payload after the Protocol Buffers message)
 #pragma once
 
@@ -48,8 +48,9 @@ struct Hello {
     Role role = Role::viewer;
     std::string build;  ///< program version, for people
     std::string token;
-    std::string name;           ///< how logs and status call this peer
-    std::uint32_t threads = 0;  ///< worker: render threads
+    std::string name;              ///< how logs and status call this peer
+    std::uint32_t threads = 0;     ///< worker: render threads
+    std::uint16_t relay_port = 0;  ///< worker: where it has blobs for other workers; 0: nowhere
 
     bool operator==(const Hello&) const = default;
 };
@@ -57,6 +58,7 @@ struct Welcome {
     std::uint64_t peer = 0;
     std::string build;
     std::vector<std::string> scenes;  ///< scenes that the server holds, first loaded first
+    std::string relay_token{};        ///< what workers show one another; empty: none relays
 
     bool operator==(const Welcome&) const = default;
 };
@@ -81,8 +83,18 @@ struct SceneUpdate {
 struct BlobRequest {
     std::string scene;
     std::vector<BlobId> blobs;
+    std::uint64_t failed_peer = 0;  ///< from which they did not come; 0: none was to send them
 
     bool operator==(const BlobRequest&) const = default;
+};
+/// Another worker holds these blobs, or is getting them, and sends them to whom asks.
+struct BlobSource {
+    std::uint64_t peer = 0;
+    std::string address;
+    std::vector<BlobId> blobs;
+    std::vector<std::uint64_t> bytes;  ///< of each
+
+    bool operator==(const BlobSource&) const = default;
 };
 /// Bytes [offset, offset + payload) of a blob of `total` bytes, in order.
 struct BlobChunk {
@@ -315,11 +327,12 @@ struct WorkerStatus {
     std::uint64_t tiles = 0;
     std::uint64_t rays = 0;
     double round_trip_seconds = 0;
-    std::uint32_t prefetch = 0;      ///< tasks that it may hold at the pace it shows
-    double task_seconds = 0;         ///< of one of its threads for a task; 0: not known yet
-    std::uint64_t memory_bytes = 0;  ///< resident; 0: not known
-    bool overdue = false;            ///< has let a lease expire and not been heard of since
-    double busy_seconds = 0;         ///< of its threads, spent on tiles
+    std::uint32_t prefetch = 0;       ///< tasks that it may hold at the pace it shows
+    double task_seconds = 0;          ///< of one of its threads for a task; 0: not known yet
+    std::uint64_t memory_bytes = 0;   ///< resident; 0: not known
+    bool overdue = false;             ///< has let a lease expire and not been heard of since
+    double busy_seconds = 0;          ///< of its threads, spent on tiles
+    std::uint64_t relayed_bytes = 0;  ///< of blobs, sent to other workers
 
     bool operator==(const WorkerStatus&) const = default;
 };
@@ -351,7 +364,8 @@ struct Ping {
 };
 struct Pong {
     std::uint64_t stamp = 0;
-    std::uint64_t memory_bytes = 0;  ///< a worker's, resident; 0: not told
+    std::uint64_t memory_bytes = 0;   ///< a worker's, resident; 0: not told
+    std::uint64_t relayed_bytes = 0;  ///< of blobs that a worker has sent to others
 
     bool operator==(const Pong&) const = default;
 };
@@ -367,7 +381,7 @@ using MessageBody =
                  SceneDrop, FrameRequest, FrameCancel, FrameProgress, PictureChunk, FrameDone,
                  FrameBegin, FrameEnd, TileTasks, TileResults, Failure, StatusRequest, Status, Ping,
                  Pong, SceneShare, SceneWatch, SceneEdit, EditResult, View, ViewEnd, ViewPicture,
-                 Leave, FrameSave, SumsChunk>;
+                 Leave, FrameSave, SumsChunk, BlobSource>;
 
 /// Raw bytes that travel after the message, kept alive by `owner`; never copied through protobuf.
 struct Payload {

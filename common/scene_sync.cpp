@@ -92,6 +92,31 @@ void SceneReceiver::complete(const BlobId& id, Bytes bytes) {
     if (held_bytes_ > held_when_dropped_ + most_unused_bytes) drop_unused_blobs();
 }
 
+std::optional<BlobPart> SceneReceiver::part(const BlobId& id) const {
+    if (const auto blob = blobs_.find(id)) return BlobPart{true, blob->size(), *blob};
+    const auto found = arrivals_.find(id);
+    if (found == arrivals_.end()) return std::nullopt;
+    return BlobPart{found->second.begun, found->second.total, found->second.bytes};
+}
+
+std::vector<BlobRequest> SceneReceiver::ask_again(std::span<const BlobId> ids) {
+    std::set<BlobId> lost(ids.begin(), ids.end());
+    for (const BlobId& id : ids)
+        if (const auto found = arrivals_.find(id); found != arrivals_.end()) {
+            announced_bytes_ -= found->second.total;
+            arrivals_.erase(found);
+        }
+    std::vector<BlobRequest> requests;
+    for (const auto& [name, entry] : scenes_) {
+        BlobRequest request{.scene = name, .blobs = {}};
+        for (const BlobId& id : entry.missing)
+            if (lost.erase(id) > 0) request.blobs.push_back(id);
+        for (const BlobId& id : request.blobs) arrivals_.try_emplace(id);
+        if (!request.blobs.empty()) requests.push_back(std::move(request));
+    }
+    return requests;
+}
+
 void SceneReceiver::make_room(std::uint64_t bytes) {
     const auto fits = [&] {
         const std::uint64_t used = held_bytes_ + announced_bytes_;

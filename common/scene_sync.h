@@ -42,6 +42,13 @@ struct SceneLimits {
     const char* option = nullptr;  ///< by which an operator raises blob_bytes, if he can
 };
 
+/// What has come of a blob.
+struct BlobPart {
+    bool begun = false;  ///< else nothing has, not even its size
+    std::uint64_t total = 0;
+    std::span<const std::byte> bytes;  ///< valid until something else comes
+};
+
 /// The receiving end: all scenes of one peer. Pure. Whatever it throws is a ProtocolError.
 class SceneReceiver {
 public:
@@ -61,6 +68,13 @@ public:
 
     /// Takes the next bytes of a blob that was asked for; the last ones are checked against its id.
     void add(const BlobChunk& chunk, std::span<const std::byte> bytes);
+
+    /// What is here of a blob; none of one that is neither held nor asked for.
+    std::optional<BlobPart> part(const BlobId& id) const;
+
+    /// Forgets what has come of these blobs, unless they are whole, and returns the requests for
+    /// those that scenes still wait for: whoever was to send them has failed.
+    std::vector<BlobRequest> ask_again(std::span<const BlobId> ids);
 
     /// The next scene whose newest version has become whole; every version at most once.
     std::optional<ReadyScene> take_ready();

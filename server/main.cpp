@@ -126,6 +126,12 @@ int main(int argc, char** argv) {
                    "address of /metrics for Prometheus, /healthz and /readyz?workers=N; anybody "
                    "who reaches it can read them")
         ->type_name("HOST:PORT");
+    app.add_option("--relays", options.config.relays,
+                   "whether workers get meshes and textures from one another: auto (when that is "
+                   "faster), on, off")
+        ->transform(CLI::CheckedTransformer(std::map<std::string, RelayMode>{
+            {"auto", RelayMode::automatic}, {"on", RelayMode::on}, {"off", RelayMode::off}}))
+        ->type_name("MODE");
     app.add_option("--trace", options.config.trace,
                    "file for the timeline of the frame that finished last, for chrome://tracing or "
                    "Perfetto")

@@ -84,8 +84,9 @@ struct RenderFarm::Job {
 };
 
 RenderFarm::RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads,
-                       std::filesystem::path trace)
+                       std::filesystem::path trace, RelayMode relays)
     : strand_(strand),
+      relays_(relays),
       deadline_timer_(strand),
       fold_threads_(fold_threads),
       trace_(std::move(trace)),
@@ -146,6 +147,7 @@ void RenderFarm::cancel_frame(std::uint64_t frame) {
 void RenderFarm::add_worker(std::shared_ptr<WorkerSession> worker) {
     WorkerSession& added = *worker;
     scheduler_.add_worker(added.id(), added.threads());
+    relays_.add_worker(added.id(), !added.relay_address().empty());
     workers_[added.id()] = std::move(worker);
     for (const ScenePtr& scene : kept_ready_) sync_worker(added, *wanted_version(scene->now.name));
     for (const auto& [frame, job] : jobs_) sync_worker(added, *wanted_version(job->scene.name));
@@ -154,6 +156,7 @@ void RenderFarm::add_worker(std::shared_ptr<WorkerSession> worker) {
 void RenderFarm::remove_worker(std::uint64_t worker) {
     if (workers_.erase(worker) == 0) return;
     scheduler_.remove_worker(worker);
+    relays_.remove_worker(worker);
     std::set<std::string> scenes;
     for (const auto& [frame, job] : jobs_) scenes.insert(job->scene.name);
     for (const std::string& scene : scenes) fail_if_hopeless(scene);
@@ -224,6 +227,24 @@ void RenderFarm::tile_result(WorkerSession& worker, const TileReport& tile,
     fold_next(job);
 }
 
+std::vector<RelayPlan::Share> RenderFarm::share_blobs(const WorkerSession& worker,
+                                                      const BlobRequest& request,
+                                                      const BlobStore& offered) {
+    if (request.failed_peer != 0) {
+        relays_.failed(worker.id(), request.failed_peer);
+        return {{.peer = 0, .blobs = request.blobs, .bytes = {}}};
+    }
+    // Connections that send at the same time get a part of the uplink each: the fastest is nearest.
+    LinkSpeed uplink = worker.link();
+    for (const auto& [id, other] : workers_)
+        uplink.bytes_per_second = std::max(uplink.bytes_per_second, other->link().bytes_per_second);
+    return relays_.share(worker.id(), request.blobs, offered, uplink);
+}
+
+const std::string& RenderFarm::relay_address(std::uint64_t worker) const {
+    return workers_.at(worker)->relay_address();
+}
+
 void RenderFarm::retire(WorkerSession& worker) {
     scheduler_.retire(worker.id());
     let_go_if_done(worker);
@@ -262,7 +283,8 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
                        .task_seconds = pace.task_seconds,
                        .memory_bytes = worker->memory_bytes(),
                        .overdue = pace.overdue,
-                       .busy_seconds = worker->busy_seconds});
+                       .busy_seconds = worker->busy_seconds,
+                       .relayed_bytes = worker->relayed_bytes()});
     }
     return out;
 }

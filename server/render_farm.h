@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "server/frame.h"
+#include "server/relay_plan.h"
 #include "server/scene_store.h"
 #include "server/scheduler.h"
 #include "server/worker_session.h"
@@ -47,7 +48,7 @@ public:
     /// Everything happens on `strand`; folding on `fold_threads` threads of its own. `trace`: file
     /// for the timeline of the frame that finished last; empty: none.
     RenderFarm(const asio::any_io_executor& strand, unsigned fold_threads,
-               std::filesystem::path trace = {});
+               std::filesystem::path trace = {}, RelayMode relays = RelayMode::automatic);
     ~RenderFarm();
 
     /// Workers get this scene as soon as they join.
@@ -76,6 +77,11 @@ public:
     /// its frame.
     void tile_results(WorkerSession& worker, const TileResults& results,
                       std::span<const std::byte> pixels);
+
+    /// Who sends what the worker asks for.
+    std::vector<RelayPlan::Share> share_blobs(const WorkerSession& worker,
+                                              const BlobRequest& request, const BlobStore& offered);
+    const std::string& relay_address(std::uint64_t worker) const;
 
     /// The worker gets no more tasks, and goes when it has answered those that it holds.
     void retire(WorkerSession& worker);
@@ -123,6 +129,7 @@ private:
 
     asio::any_io_executor strand_;
     Scheduler scheduler_;
+    RelayPlan relays_;
     std::map<std::uint64_t, std::shared_ptr<WorkerSession>> workers_;
     std::map<std::uint64_t, std::unique_ptr<Job>> jobs_;  ///< by frame number: oldest first
     std::vector<ScenePtr> kept_ready_;

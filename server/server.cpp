@@ -52,17 +52,6 @@ void listen_on(tcp::acceptor& acceptor, const tcp::endpoint& endpoint) {
     check("choose another port, or 0 for any free one");
 }
 
-/// Takes the same time wherever the tokens differ and however long they are.
-bool same_token(const std::string& a, const std::string& b) {
-    const auto digest = [](const std::string& s) {
-        return blob_id(std::as_bytes(std::span(s))).digest;
-    };
-    const auto da = digest(a), db = digest(b);
-    unsigned difference = 0;
-    for (std::size_t i = 0; i < da.size(); ++i) difference |= unsigned(da[i] ^ db[i]);
-    return difference == 0;
-}
-
 /// Compares with every token, so that the time tells nothing.
 std::optional<Grant> grant_of(const std::string& token, const ServerKeys& keys) {
     std::optional<Grant> out;
@@ -95,7 +84,8 @@ Server::Server(asio::io_context& io, const ServerConfig& config)
       io_(io),
       acceptor_(io),
       started_(Clock::now()),
-      farm_(io.get_executor(), config.fold_threads, config.trace) {
+      farm_(io.get_executor(), config.fold_threads, config.trace, config.relays),
+      relay_token_(config.relays == RelayMode::off ? "" : random_token()) {
     const tcp::endpoint endpoint = resolve(io, config.listen);
     if (!config.keys.empty()) keys_ = load_server_keys(config.keys);
     if (!keys_ && !endpoint.address().is_loopback())
@@ -178,7 +168,9 @@ asio::awaitable<void> Server::serve(tcp::socket socket) {
     if (hello) {
         connection->admit({.message_bytes = config_.limits.message_bytes,
                            .option = "the server's --max-message"});
-        connection->send({Welcome{peer, TESSERA_VERSION, scenes_.open_names()}, {}});
+        connection->send({Welcome{peer, TESSERA_VERSION, scenes_.open_names(),
+                                  hello->role == Role::worker ? relay_token_ : ""},
+                          {}});
         if (hello->role == Role::worker) {
             const auto worker = std::make_shared<WorkerSession>(peer, *hello, connection);
             co_await hold_session(worker, worker->run(farm_), farm_);

@@ -29,7 +29,9 @@ struct ServerConfig {
     /// Where open scenes outlive the server; empty: they do not.
     std::filesystem::path journal = {};
     unsigned fold_threads = 2;
-    std::string metrics = {};          ///< host:port of Prometheus' endpoint; empty: none
+    std::string metrics = {};  ///< host:port of Prometheus' endpoint; empty: none
+    /// Whether workers get meshes and textures from one another.
+    RelayMode relays = RelayMode::automatic;
     std::filesystem::path trace = {};  ///< file for the timeline of the last frame; empty: none
     Limits limits = {};
     std::chrono::milliseconds handshake_deadline{5000};
@@ -74,6 +76,7 @@ private:
     std::optional<SceneWriter> writer_;
     std::optional<MetricsEndpoint> metrics_;
     std::uint64_t last_peer_ = 0;
+    std::string relay_token_;  ///< what workers show one another; empty: they do not relay
     std::map<std::uint64_t, std::shared_ptr<Connection>> connections_;  ///< all that are open
     std::size_t strangers_ = 0;
     std::uint32_t viewers_ = 0;

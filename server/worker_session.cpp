@@ -31,7 +31,11 @@ WorkerSession::WorkerSession(std::uint64_t id, const Hello& hello,
       name_(hello.name.empty() ? connection->remote_address() : hello.name),
       threads_(std::clamp(hello.threads, 1u, most_threads)),
       connection_(std::move(connection)),
-      ping_timer_(connection_->executor()) {}
+      ping_timer_(connection_->executor()) {
+    if (hello.relay_port != 0)
+        relay_address_ =
+            fmt::format("{}{}", address().substr(0, address().rfind(':') + 1), hello.relay_port);
+}
 
 asio::awaitable<void> WorkerSession::run(RenderFarm& farm) {
     const auto self = shared_from_this();
@@ -60,7 +64,7 @@ void WorkerSession::handle(Message message, RenderFarm& farm) {
     if (const auto* results = message.get<TileResults>())
         farm.tile_results(*this, *results, message.payload.bytes);
     else if (const auto* request = message.get<BlobRequest>())
-        send_blobs_of(*request);
+        send_blobs_of(*request, farm);
     else if (const auto* ready = message.get<SceneReady>())
         became_ready(*ready, farm);
     else if (const auto* failure = message.get<Failure>())
@@ -80,17 +84,29 @@ void WorkerSession::ponged(const Pong& pong, RenderFarm& farm) {
     if (pong.stamp > now) throw ProtocolError("answers a ping that was never sent");
     round_trip_seconds_ = 1e-9 * double(now - pong.stamp);
     memory_bytes_ = pong.memory_bytes;
+    relayed_bytes_ = pong.relayed_bytes;
+    link_ = connection_->link();
     farm.round_trip(*this, round_trip_seconds_);
 }
 
-void WorkerSession::send_blobs_of(const BlobRequest& request) {
+void WorkerSession::send_blobs_of(const BlobRequest& request, RenderFarm& farm) {
     const auto held = scenes_.find(request.scene);
     if (held == scenes_.end() || request.blobs.empty()) return;
-    asio::co_spawn(connection_->executor(),
-                   send_blobs(connection_, held->second.offered, request.blobs),
-                   [self = shared_from_this()](std::exception_ptr error) {
-                       if (error) self->close();
-                   });
+    link_ = connection_->link();
+    const BlobStore& offered = held->second.offered;
+    for (RelayPlan::Share& share : farm.share_blobs(*this, request, offered)) {
+        if (share.peer != 0) {
+            connection_->send({BlobSource{share.peer, farm.relay_address(share.peer),
+                                          std::move(share.blobs), std::move(share.bytes)},
+                               {}});
+            continue;
+        }
+        asio::co_spawn(connection_->executor(),
+                       send_blobs(connection_, offered, std::move(share.blobs)),
+                       [self = shared_from_this()](std::exception_ptr error) {
+                           if (error) self->close();
+                       });
+    }
 }
 
 bool WorkerSession::bring(const ReadyScene& scene, TracerKind tracer) {

@@ -53,6 +53,11 @@ public:
     const std::string& address() const { return connection_->remote_address(); }
     double round_trip_seconds() const { return round_trip_seconds_; }
     std::uint64_t memory_bytes() const { return memory_bytes_; }
+    /// Where other workers get blobs from it, "host:port"; empty: nowhere.
+    const std::string& relay_address() const { return relay_address_; }
+    std::uint64_t relayed_bytes() const { return relayed_bytes_; }
+    /// As it was of late.
+    const LinkSpeed& link() const { return link_; }
 
     std::uint64_t tiles = 0;  ///< results used
     std::uint64_t rays = 0;
@@ -61,7 +66,7 @@ public:
 private:
     void handle(Message message, RenderFarm& farm);
     void ponged(const Pong& pong, RenderFarm& farm);
-    void send_blobs_of(const BlobRequest& request);
+    void send_blobs_of(const BlobRequest& request, RenderFarm& farm);
     void became_ready(const SceneReady& ready, RenderFarm& farm);
     void failed(const Failure& failure, RenderFarm& farm);
     asio::awaitable<void> keep_pinging();
@@ -76,6 +81,9 @@ private:
     TileTasks tasks_;                     ///< to be sent
     double round_trip_seconds_ = 0;
     std::uint64_t memory_bytes_ = 0;
+    std::string relay_address_;
+    std::uint64_t relayed_bytes_ = 0;
+    LinkSpeed link_;
     asio::steady_timer ping_timer_;
 };
 

@@ -174,9 +174,12 @@ private:
                 .build = text(),
                 .token = text(),
                 .name = text(),
-                .threads = number()};
+                .threads = number(),
+                .relay_port = std::uint16_t(below(65536))};
     }
-    Welcome make_one(Welcome) { return {.peer = big(), .build = text(), .scenes = names()}; }
+    Welcome make_one(Welcome) {
+        return {.peer = big(), .build = text(), .scenes = names(), .relay_token = text()};
+    }
     Refused make_one(Refused) { return {.reason = name()}; }
     SceneUpdate make_one(SceneUpdate) {
         SceneUpdate out{.scene = name(), .delta = {}, .tracer = one_of(TracerKind::embree)};
@@ -194,8 +197,20 @@ private:
         return out;
     }
     BlobRequest make_one(BlobRequest) {
-        BlobRequest out{.scene = name(), .blobs = std::vector<BlobId>(below(5))};
+        BlobRequest out{
+            .scene = name(), .blobs = std::vector<BlobId>(below(5)), .failed_peer = big()};
         for (BlobId& id : out.blobs) id = blob();
+        return out;
+    }
+    BlobSource make_one(BlobSource) {
+        BlobSource out{.peer = 1 + big() / 2,
+                       .address = text(),
+                       .blobs = std::vector<BlobId>(below(5)),
+                       .bytes = {}};
+        for (BlobId& id : out.blobs) {
+            id = blob();
+            out.bytes.push_back(big());
+        }
         return out;
     }
     BlobChunk make_one(BlobChunk) {
@@ -308,7 +323,8 @@ private:
                 .task_seconds = amount(),
                 .memory_bytes = big(),
                 .overdue = below(2) == 1,
-                .busy_seconds = amount()};
+                .busy_seconds = amount(),
+                .relayed_bytes = big()};
     }
     SceneStatus make_one(SceneStatus) {
         return {.name = name(), .version = big(), .instances = big(), .bytes = big()};
@@ -324,7 +340,7 @@ private:
                 .memory_bytes = big()};
     }
     Ping make_one(Ping) { return {.stamp = big()}; }
-    Pong make_one(Pong) { return {.stamp = big(), .memory_bytes = big()}; }
+    Pong make_one(Pong) { return {.stamp = big(), .memory_bytes = big(), .relayed_bytes = big()}; }
     Leave make_one(Leave) { return {}; }
 
     mat4 transform() { return make_one(Instance{}).world_from_object; }

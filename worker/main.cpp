@@ -24,6 +24,8 @@ struct Options {
     std::string name;
     std::string plugins;
     unsigned attempts = 0;
+    std::uint16_t relay_port = 0;
+    bool no_relay = false;
     std::string log = "info";
     pid_t parent = 0;
 };
@@ -50,6 +52,12 @@ void declare(CLI::App& app, Options& options) {
     app.add_option("--attempts", options.attempts,
                    "Attempts to connect in a row before giving up (0: never gives up)")
         ->capture_default_str();
+    app.add_option("--relay-port", options.relay_port,
+                   "Port where other workers get meshes and textures that this one has, by the "
+                   "same keys (0: any free one)")
+        ->capture_default_str();
+    app.add_flag("--no-relay", options.no_relay,
+                 "Gets everything from the server, and has nothing for other workers");
     app.add_option("--plugins", options.plugins,
                    "Folder of shader plug-ins: shared objects that define what "
                    "worker/tessera_shader.h says")
@@ -78,6 +86,8 @@ WorkerConfig config_of(const Options& options) {
                         .name = options.name.empty() ? default_name() : options.name,
                         .credentials = load_credentials(options.keys),
                         .shaders = shaders_of(options.plugins),
+                        .relays = !options.no_relay,
+                        .relay_port = options.relay_port,
                         .attempts = std::nullopt};
     if (options.attempts > 0) config.attempts = options.attempts;
     return config;

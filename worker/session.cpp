@@ -40,20 +40,26 @@ WorkerPools::WorkerPools(unsigned render_threads)
     : render(render_threads, max_tasks), scenes(1, max_frames), frames(1, 2 * max_frames) {}
 
 Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
-                 const RendererConfig& config, const BlobStore& known)
+                 const RendererConfig& config, const BlobStore& known, std::shared_ptr<Relay> relay)
     : connection_(std::move(connection)),
       executor_(connection_->executor()),
       pools_(pools),
-      renderer_config_(config) {
-    receiver_.know(known);
+      renderer_config_(config),
+      relay_(std::move(relay)) {
+    receiver_->know(known);
 }
 
 Session::~Session() {
     connection_->close();
+    if (relay_) relay_->close();
     for (const auto& [number, frame] : frames_) frame->ended = true;
 }
 
-asio::awaitable<void> Session::run() {
+asio::awaitable<void> Session::run(const std::string& relay_token) {
+    if (relay_)
+        relay_->begin(relay_token, receiver_, connection_, [weak = weak_from_this()] {
+            if (const auto self = weak.lock()) self->build_next_scene();
+        });
     for (;;) {
         handle(co_await connection_->receive());
         while (const std::optional<Message> more = connection_->receive_now()) handle(*more);
@@ -62,7 +68,8 @@ asio::awaitable<void> Session::run() {
 
 void Session::handle(const Message& message) {
     if (const auto* chunk = message.get<BlobChunk>()) {
-        receiver_.add(*chunk, message.payload.bytes);
+        receiver_->add(*chunk, message.payload.bytes);
+        if (relay_) relay_->arrived();
         return build_next_scene();
     }
     std::visit(
@@ -96,15 +103,20 @@ void Session::run_in(ThreadPool& pool, Work work, Done done) {
 // ---- Scenes -------------------------------------------------------------------------------------
 
 void Session::on(const SceneUpdate& update) {
-    connection_->send({receiver_.update(update), {}});
+    connection_->send({receiver_->update(update), {}});
     tracers_[update.scene] = update.tracer;
     build_next_scene();
+}
+
+void Session::on(const BlobSource& source) {
+    if (!relay_) throw ProtocolError("names another worker to one that takes nothing from others");
+    relay_->pull(source);
 }
 
 /// Versions that come faster than they can be built are left out: `receiver_` knows the newest.
 void Session::build_next_scene() {
     if (building_) return;
-    const auto scene = receiver_.take_ready();
+    const auto scene = receiver_->take_ready();
     if (!scene) return;
     building_ = true;
     struct Built {
@@ -134,7 +146,7 @@ void Session::scene_built(const ReadyScene& scene, std::shared_ptr<Renderer> ren
     const std::uint64_t version = scene.scene->version;
     if (!error.empty()) {
         fail(0, fmt::format("scene '{}' version {}: {}", scene.name, version, error));
-    } else if (receiver_.find(scene.name)) {
+    } else if (receiver_->find(scene.name)) {
         report_ready(scene.name, version, *renderer);
         std::deque<BuiltVersion>& versions = renderers_[scene.name];
         versions.push_back({version, std::move(renderer)});
@@ -156,7 +168,7 @@ void Session::report_ready(const std::string& scene, std::uint64_t version,
 }
 
 void Session::on(const SceneDrop& drop) {
-    receiver_.drop(drop.scene);
+    receiver_->drop(drop.scene);
     tracers_.erase(drop.scene);
     renderers_.erase(drop.scene);
 }
@@ -311,7 +323,10 @@ Message Session::take_finished() {
 }
 
 void Session::on(const Ping& ping) {
-    connection_->send({Pong{.stamp = ping.stamp, .memory_bytes = resident_bytes()}, {}});
+    connection_->send({Pong{.stamp = ping.stamp,
+                            .memory_bytes = resident_bytes(),
+                            .relayed_bytes = relay_ ? relay_->bytes_sent() : 0},
+                       {}});
 }
 
 void Session::fail(std::uint64_t frame, const std::string& reason) {

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "common/connection.h"
+#include "common/relay.h"
 #include "common/scene_sync.h"
 #include "worker/renderer.h"
 #include "worker/thread_pool.h"
@@ -35,14 +36,17 @@ struct WorkerPools {
 
 class Session : public std::enable_shared_from_this<Session> {
 public:
-    /// `config`: of the renderers. `known`: blobs that are here already.
+    /// `config`: of the renderers. `known`: blobs that are here already. `relay`: to other workers,
+    /// not begun; may be null.
     Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
-            const RendererConfig& config, const BlobStore& known = {});
+            const RendererConfig& config, const BlobStore& known = {},
+            std::shared_ptr<Relay> relay = {});
     ~Session();
 
     /// Serves until the connection ends; throws what Connection::receive throws.
-    asio::awaitable<void> run();
-    const BlobStore& blobs() const { return receiver_.blobs(); }
+    /// `relay_token`: of the server's Welcome.
+    asio::awaitable<void> run(const std::string& relay_token = {});
+    const BlobStore& blobs() const { return receiver_->blobs(); }
     /// Asks the server for no more work and to end the session after what it has.
     void leave() { connection_->send({Leave{}, {}}); }
 
@@ -68,6 +72,7 @@ private:
 
     void handle(const Message& message);
     void on(const SceneUpdate& update);
+    void on(const BlobSource& source);
     void on(const SceneDrop& drop);
     void on(const FrameBegin& begin);
     void on(const FrameEnd& end);
@@ -100,7 +105,8 @@ private:
     asio::any_io_executor executor_;
     WorkerPools& pools_;
     RendererConfig renderer_config_;
-    SceneReceiver receiver_;
+    std::shared_ptr<SceneReceiver> receiver_ = std::make_shared<SceneReceiver>();
+    std::shared_ptr<Relay> relay_;
     std::map<std::string, TracerKind> tracers_;  ///< by scene: what to build with it
     bool building_ = false;
     std::map<std::string, std::deque<BuiltVersion>> renderers_;  ///< by scene, oldest first

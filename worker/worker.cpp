@@ -22,13 +22,16 @@ struct RefusedError : UserError {
     using UserError::UserError;
 };
 
-asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& config) {
+/// Returns the server's token for relays.
+asio::awaitable<std::string> shake_hands(Connection& connection, const WorkerConfig& config,
+                                         std::uint16_t relay_port) {
     connection.send({Hello{.protocol = protocol_version,
                            .role = Role::worker,
                            .build = TESSERA_VERSION,
                            .token = config.credentials.token,
                            .name = config.name,
-                           .threads = config.threads},
+                           .threads = config.threads,
+                           .relay_port = relay_port},
                      {}});
     const Message answer = co_await connection.receive(handshake_deadline);
     if (const auto* refused = answer.get<Refused>())
@@ -38,21 +41,26 @@ asio::awaitable<void> shake_hands(Connection& connection, const WorkerConfig& co
     if (!welcome) throw ProtocolError("answers Hello with neither Welcome nor Refused");
     spdlog::info("serves {} (version {}) as worker {}", connection.remote_address(), welcome->build,
                  welcome->peer);
+    co_return welcome->relay_token;
 }
 
 }  // namespace
 
 asio::awaitable<void> Worker::serve() {
     const auto connection = co_await connect(config_.server, config_.credentials.tls);
-    co_await shake_hands(*connection, config_);
+    const auto relay =
+        config_.relays ? Relay::listen(*connection, config_.credentials.relay, config_.relay_port)
+                       : nullptr;
+    const std::string relay_token =
+        co_await shake_hands(*connection, config_, relay ? relay->port() : std::uint16_t(0));
     failures_ = 0;
     const auto session = std::make_shared<Session>(
         connection, pools_, RendererConfig{int(config_.threads), config_.shaders},
-        std::exchange(blobs_, {}));
+        std::exchange(blobs_, {}), relay);
     session_ = session;
     if (leaving_) session->leave();
     try {
-        co_await session->run();
+        co_await session->run(relay_token);
     } catch (...) {
         blobs_ = session->blobs();
         throw;

@@ -16,6 +16,8 @@ struct WorkerConfig {
     std::string name;         ///< for the server's logs and status
     Credentials credentials;  ///< the server's operator gives them out
     std::shared_ptr<const ShaderTable> shaders = built_in_shaders();
+    bool relays = true;            ///< has meshes and textures for other workers, and takes theirs
+    std::uint16_t relay_port = 0;  ///< where; 0: any free port
     /// Attempts in a row that may fail before the worker gives up; none: it never does.
     std::optional<unsigned> attempts;
 };

@@ -5,12 +5,12 @@
 # do, and answer tiles with made-up pixels after a drawn time, so that two cores can play sixteen machines.
 # Prints a table, and fails when the frame rate falls from the first number of workers to the last.
 # usage: uplink.sh BIN_FOLDER [options of `tessera bench cluster`, such as --shape-error 0.001]
-# SCENE=museum:4096 RATE=100mbit WORKERS="2 4 8 16" THREADS=2 TILE_MS=0.74 SECONDS_EACH=10 override. Needs root; skipped
+# SCENE=museum:4096 RATE=100mbit RELAYS=auto WORKERS="2 4 8 16" THREADS=2 TILE_MS=0.74 SECONDS_EACH=10 override. Needs root; skipped
 # (77) where namespaces may not be made.
 set -uo pipefail
 bin=$1
 shift
-scene=${SCENE:-museum:4096} rate=${RATE:-100mbit} threads=${THREADS:-2} tile=${TILE_MS:-0.74} time=${SECONDS_EACH:-10}
+scene=${SCENE:-museum:4096} rate=${RATE:-100mbit} relays=${RELAYS:-auto} threads=${THREADS:-2} tile=${TILE_MS:-0.74} time=${SECONDS_EACH:-10}
 read -ra counts <<<"${WORKERS:-2 4 8 16}"
 work=$(mktemp -d)
 a=tessera-a-$$ b=tessera-b-$$
@@ -37,19 +37,19 @@ on() { local machine=$1; shift; ip netns exec "$machine" "$@"; }
 
 "$bin/tessera" keys "$work/keys" >"$work/keys.log" || fail "keys"
 keys=(--keys "$work/keys")
-echo "$scene, 640x480, uplink of $rate, tiles of $tile ms, workers of $threads threads"
+echo "$scene, 640x480, uplink of $rate, relays $relays, tiles of $tile ms, workers of $threads threads"
 printf '%8s %9s %22s %20s %17s\n' workers frames/s "frame p50 / p95 ms" "kB/frame on uplink" "of them / worker"
 first= last=
 for count in "${counts[@]}"; do
     mkfifo "$work/greeting"
     # Not by on(): the number must be the program's own.
-    ip netns exec "$a" "$bin/tessera-server" --listen 10.74.1.1:7411 --keys "$work/keys/server" --log warning \
+    ip netns exec "$a" "$bin/tessera-server" --listen 10.74.1.1:7411 --keys "$work/keys/server" --log warning --relays "$relays" \
         >"$work/greeting" 2>"$work/server.log" &
     server=$!
     read -r _ <"$work/greeting" || fail "the server does not listen"
     rm "$work/greeting"
-    ip netns exec "$b" "$bin/tessera" bench cluster "$scene" --synthetic --server 10.74.1.1:7411 "${keys[@]}" --workers "$count" \
-        --viewers 0 --threads "$threads" --tile-ms "$tile" --seconds 3600 >"$work/workers.log" 2>&1 &
+    ip netns exec "$b" "$bin/tessera" bench cluster "$scene" --synthetic --relays --server 10.74.1.1:7411 "${keys[@]}" \
+        --workers "$count" --viewers 0 --threads "$threads" --tile-ms "$tile" --seconds 3600 >"$work/workers.log" 2>&1 &
     workers=$!
     until on "$a" "$bin/tessera" status --server 10.74.1.1:7411 --keys "$work/keys/viewer" --json 2>/dev/null |
         python3 -c "import json, sys; sys.exit(len(json.load(sys.stdin)['workers']) < $count)"; do
