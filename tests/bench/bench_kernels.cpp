@@ -105,9 +105,10 @@ BENCHMARK(send_and_receive_tiles)->Arg(1)->Arg(20);
 std::uint64_t render_tiles(const Renderer& renderer, const FrameSpec& spec, bool cut) {
     std::uint64_t sum = 0;
     for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
-        for (std::uint32_t part = cut; part <= (cut ? quarters : 0); ++part)
-            for (const float v : renderer.render({spec.frame, tile, 0, 1, part})->data)
-                sum += std::bit_cast<std::uint32_t>(v);
+        for (std::uint32_t part = cut; part <= (cut ? quarters : 0); ++part) {
+            const TileResult result = *renderer.render({spec.frame, tile, 0, 1, part});
+            for (const float v : result.data) sum += std::bit_cast<std::uint32_t>(v);
+        }
     return sum;
 }
 
