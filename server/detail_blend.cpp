@@ -70,15 +70,18 @@ float DetailBlend::share(const Block& block) const {
                : 0;
 }
 
-void DetailBlend::add_to(Image& picture) const {
+void DetailBlend::add_to(std::span<float> rows, int y0, int y1) const {
     if (runs_ < 2) return;
+    // A row of blocks on each side of those that the rows lie in.
+    const int first = y0 / block_size - 1;
+    const int last = (y1 - 1) / block_size + 1;
     std::vector<Block> blocks;
-    for (int y = 0; y < blocks_.height; ++y)
-        for (int x = 0; x < blocks_.width; ++x) blocks.push_back(block(x, y));
+    for (int y = first; y <= last; ++y)
+        for (int x = 0; x < blocks_.width; ++x)
+            blocks.push_back(block(x, std::clamp(y, 0, blocks_.height - 1)));
     const auto at = [&](int x, int y) -> const Block& {
         const int bx = std::clamp(x, 0, blocks_.width - 1);
-        const int by = std::clamp(y, 0, blocks_.height - 1);
-        return blocks[std::size_t(by) * std::size_t(blocks_.width) + std::size_t(bx)];
+        return blocks[std::size_t(y - first) * std::size_t(blocks_.width) + std::size_t(bx)];
     };
     const auto mix = [](const Block& a, const Block& b, double t) {
         return Block{a.squares + t * (b.squares - a.squares),
@@ -86,17 +89,19 @@ void DetailBlend::add_to(Image& picture) const {
     };
     // Blocks are interpolated between their centres, so that no seams show. What decides is mixed
     // and not the decision, or else detail beside an even block would never come back whole.
-    for (int y = 0; y < size_.height; ++y) {
+    const std::size_t row = 3 * std::size_t(size_.width);
+    for (int y = y0; y < y1; ++y) {
         const float v = (float(y) + 0.5f) / block_size - 0.5f;
-        const int y0 = int(std::floor(v));
+        const int above = int(std::floor(v));
+        float* pixel = &rows[std::size_t(y - y0) * row];
+        const float* detail = &mean_[std::size_t(y) * row];
         for (int x = 0; x < size_.width; ++x) {
             const float u = (float(x) + 0.5f) / block_size - 0.5f;
             const int x0 = int(std::floor(u));
-            const Block upper = mix(at(x0, y0), at(x0 + 1, y0), u - float(x0));
-            const Block lower = mix(at(x0, y0 + 1), at(x0 + 1, y0 + 1), u - float(x0));
-            const float taken = share(mix(upper, lower, v - float(y0)));
-            const std::size_t i = 3 * (std::size_t(y) * std::size_t(size_.width) + std::size_t(x));
-            for (std::size_t c = i; c < i + 3; ++c) picture.data[c] += taken * mean_[c];
+            const Block upper = mix(at(x0, above), at(x0 + 1, above), u - float(x0));
+            const Block lower = mix(at(x0, above + 1), at(x0 + 1, above + 1), u - float(x0));
+            const float taken = share(mix(upper, lower, v - float(above)));
+            for (int c = 0; c < 3; ++c) *pixel++ += taken * *detail++;
         }
     }
 }

@@ -30,8 +30,8 @@ public:
     static std::uint64_t saved_bytes(ImageSize size);
     void resume(std::uint32_t runs) { runs_ = runs; }
 
-    /// Adds to `picture`, the mean of filtered runs, as much of the detail as is worth it.
-    void add_to(Image& picture) const;
+    /// Adds to rows y0 <= y < y1 of the mean of filtered runs as much of the detail as is worth it.
+    void add_to(std::span<float> rows, int y0, int y1) const;
 
     /// Estimated squared error that detail makes, taken or left: sum over pixels and channels.
     double squared_error() const;

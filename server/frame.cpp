@@ -256,9 +256,17 @@ double FrameSums::error_estimate() const {
 }
 
 Image FrameSums::picture() const {
-    Image image = scaled_image(spec_.size, 3, sum_, 1 / float(std::max(passes_, 1u)));
-    if (detail_) detail_->add_to(image);
+    Image image(spec_.size, 3);
+    picture_rows(0, spec_.size.height, image.data);
     return image;
+}
+
+void FrameSums::picture_rows(int y0, int y1, std::span<float> out) const {
+    const std::size_t row = 3 * std::size_t(spec_.size.width);
+    const float scale = 1 / float(std::max(passes_, 1u));
+    const float* sums = &sum_[std::size_t(y0) * row];
+    for (std::size_t i = 0; i < std::size_t(y1 - y0) * row; ++i) out[i] = sums[i] * scale;
+    if (detail_) detail_->add_to(out, y0, y1);
 }
 
 /// As row_error() counts it.

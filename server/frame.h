@@ -59,6 +59,8 @@ public:
     /// The mean of the passes folded so far, with the detail that the filter should not have taken;
     /// black when there are none.
     Image picture() const;
+    /// Its rows y0 <= y < y1.
+    void picture_rows(int y0, int y1, std::span<float> out) const;
     /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth,
     /// surface and path length as they are in the first pass, and owners those of the last run.
     Image channel(Channel c) const;

@@ -1,5 +1,6 @@
 #include "server/picture_parts.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "common/false_colour.h"
@@ -29,17 +30,34 @@ PicturePart linear_part(std::uint64_t request, Channel channel, Image image) {
                      std::move(image.data));
 }
 
+/// A few rows at a time, which stay in the cache.
+std::vector<std::uint8_t> srgb8_of(const FrameSums& sums, ImageSize size, const ToneMap& tone_map) {
+    constexpr int band = 16;
+    const ToneTable table(tone_map);
+    const std::size_t row = 3 * std::size_t(size.width);
+    std::vector<float> rows(band * row);
+    std::vector<std::uint8_t> out(std::size_t(size.height) * row);
+    auto byte = out.begin();
+    for (int y = 0; y < size.height; y += band) {
+        const int end = std::min(y + band, size.height);
+        const std::span<float> values(rows.data(), std::size_t(end - y) * row);
+        sums.picture_rows(y, end, values);
+        byte = std::ranges::transform(values, byte, table).out;
+    }
+    return out;
+}
+
 }  // namespace
 
 std::vector<PicturePart> parts_of(const FinishedFrame& frame) {
     const FrameRequest& request = frame.request;
     std::vector<PicturePart> parts;
-    Image picture = frame.sums->picture();
+    const ImageSize size = request.spec.size;
     if (request.format == PictureFormat::srgb8)
-        parts.push_back(make_part(request.request, Channel::radiance, request.format,
-                                  request.spec.size, 3, to_srgb8(picture, request.tone_map)));
+        parts.push_back(make_part(request.request, Channel::radiance, request.format, size, 3,
+                                  srgb8_of(*frame.sums, size, request.tone_map)));
     else
-        parts.push_back(linear_part(request.request, Channel::radiance, std::move(picture)));
+        parts.push_back(linear_part(request.request, Channel::radiance, frame.sums->picture()));
     for (int c = 1; c < channel_count; ++c)
         if (request.spec.extra.has(Channel(c)))
             parts.push_back(

@@ -32,7 +32,7 @@ struct Detail {
 
 double squared_error(const DetailBlend& blend, const Detail& run) {
     Image picture(size, 3);
-    blend.add_to(picture);
+    blend.add_to(picture.data, 0, picture.size.height);
     double sum = 0;
     for (int y = 0; y < size.height; ++y)
         for (int x = 0; x < size.width; ++x)
@@ -61,7 +61,7 @@ TEST(DetailBlend, takes_nothing_before_it_knows_the_noise) {
     Detail run{.lost = 5};
     for (int y = 0; y < size.height; ++y) blend.add_row(y, run.row(y), 1);
     Image picture(size, 3);
-    blend.add_to(picture);
+    blend.add_to(picture.data, 0, picture.size.height);
     EXPECT_EQ(picture, Image(size, 3));
 }
 

@@ -89,10 +89,19 @@ TEST(ToneMap, what_is_no_radiance_is_black) {
     for (const std::uint8_t byte : to_srgb8(image, {})) EXPECT_EQ(byte, 0);
 }
 
+TEST(ToneMap, any_exposure_makes_black_or_white_in_the_end) {
+    Image image({3, 1}, 3);
+    image.data = {0, 1, 1e30f, 1e-30f, 1e38f, infinity, 0, 0, 0};
+    EXPECT_EQ(to_srgb8(image, {.exposure = 500}),
+              (std::vector<std::uint8_t>{0, 255, 255, 255, 255, 0, 0, 0, 0}));
+    for (const float exposure : {-500.0f, -infinity, std::nanf("")})
+        for (const std::uint8_t byte : to_srgb8(image, {.exposure = exposure})) EXPECT_EQ(byte, 0);
+}
+
 TEST(ToneMap, bytes_are_the_curve_rounded) {
     std::mt19937 random(7);
     for (const ToneCurve curve : {ToneCurve::srgb, ToneCurve::filmic})
-        for (const float exposure : {-3.0f, 0.0f, 5.5f}) {
+        for (const float exposure : {-60.0f, -3.0f, 0.0f, 5.5f, 17.3f}) {
             const ToneMap map{curve, exposure};
             Image image({100000, 1}, 3);
             std::uniform_real_distribution<float> exponent(-30, 10);

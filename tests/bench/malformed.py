@@ -78,7 +78,7 @@ async def peers(host, port, frames, counts):
     while sum(counts[what] for what in MALFORMED) < frames:
         try:
             await break_protocol(host, port, counts)
-        except ConnectionResetError:
+        except OSError:  # the server hung up before all was said
             counts["reset"] += 1
 
 
