@@ -5,8 +5,8 @@
 # do, and answer tiles with made-up pixels after a drawn time, so that two cores can play sixteen machines.
 # Prints a table, and fails when the frame rate falls from the first number of workers to the last.
 # usage: uplink.sh BIN_FOLDER [options of `tessera bench cluster`, such as --shape-error 0.001]
-# SCENE=museum:4096 RATE=100mbit RELAYS=auto WORKERS="2 4 8 16" THREADS=2 TILE_MS=0.74 SECONDS_EACH=10 override. Needs root; skipped
-# (77) where namespaces may not be made.
+# SCENE=museum:4096 RATE=100mbit RELAYS=auto (on, off) WORKERS="2 4 8 16" THREADS=2 TILE_MS=0.74 SECONDS_EACH=10 override.
+# Needs root; skipped (77) where namespaces may not be made.
 set -uo pipefail
 bin=$1
 shift
