@@ -106,8 +106,9 @@ std::uint64_t render_tiles(const Renderer& renderer, const FrameSpec& spec, bool
     std::uint64_t sum = 0;
     for (std::uint32_t tile = 0; tile < tile_count(spec.size); ++tile)
         for (std::uint32_t part = cut; part <= (cut ? quarters : 0); ++part) {
-            const TileResult result = *renderer.render({spec.frame, tile, 0, 1, part});
-            for (const float v : result.data) sum += std::bit_cast<std::uint32_t>(v);
+            const auto result = renderer.render({spec.frame, tile, 0, 1, part});
+            CHECK(result.has_value());
+            for (const float v : result->data) sum += std::bit_cast<std::uint32_t>(v);
         }
     return sum;
 }
