@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Strangers at a server's door: connections that say nothing, that say nonsense, and that speak a byte at a time.
 
-    tests/bench/flood.py HOST:PORT [--rate 1000] [--seconds 10]
+    tests/bench/flood.py HOST:PORT [--rate 1000] [--seconds 10] [--pid PID_OF_THE_SERVER]
 
 Run it while a viewer renders, and compare the viewer's time with and without: what strangers cost those who are in. Prints
-how many connections were made and how many the server closed within the time.
+how many connections were made, how many the server closed within the time, and (with --pid) what CPU time it took meanwhile.
 """
 import argparse
 import asyncio
@@ -47,6 +47,12 @@ async def stranger(host, port, counts):
     writer.close()
 
 
+def cpu_seconds(pid):
+    with open(f"/proc/{pid}/stat") as stat:
+        user, system = stat.read().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
 async def flood(host, port, rate, seconds):
     counts = {"connected": 0, "refused": 0, "closed by the server": 0}
     begin = time.monotonic()
@@ -69,9 +75,13 @@ def main():
     parser.add_argument("server", metavar="HOST:PORT")
     parser.add_argument("--rate", type=float, default=1000, help="connections a second")
     parser.add_argument("--seconds", type=float, default=10)
+    parser.add_argument("--pid", type=int)
     options = parser.parse_args()
     host, port = options.server.rsplit(":", 1)
+    before = cpu_seconds(options.pid) if options.pid else 0
     asyncio.run(flood(host, int(port), options.rate, options.seconds))
+    if options.pid:
+        print(f"{cpu_seconds(options.pid) - before:.2f} s of the server's CPU time")
 
 
 if __name__ == "__main__":
