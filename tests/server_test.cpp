@@ -29,6 +29,7 @@ using namespace std::chrono_literals;
 struct Host {
     asio::io_context io;
     Server server;
+    std::size_t workers_in = 0;
 
     explicit Host(const std::string& token = "", const std::filesystem::path& keys = {},
                   const std::filesystem::path& journal = {}, const Limits& limits = {})
@@ -37,7 +38,7 @@ struct Host {
                       .token = token,
                       .journal = journal,
                       .limits = limits,
-                      .handshake_deadline = 200ms}) {
+                      .handshake_deadline = 2s}) {
         server.start();
     }
 
@@ -110,6 +111,7 @@ Message answer_to(const FrameSpec& spec, const TileTask& task, bool wrong) {
 /// Builds nothing and renders made-up tiles; ends with its connection.
 asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
     const auto connection = co_await join(host, Role::worker);
+    ++host.workers_in;
     SceneReceiver scenes;
     std::map<std::uint64_t, FrameSpec> frames;
     for (int answers = 0; answers != script.dies_after;) {
@@ -396,7 +398,7 @@ TEST(Server, malformed_bytes_close_that_session_only) {
 
 // ---- Frames -------------------------------------------------------------------------------------
 
-/// One viewer, these workers, one frame: the exact picture.
+/// One viewer, these workers, all of them there before the one frame begins.
 Picture render_with(std::vector<WorkerScript> workers, FrameRequest request = small_request()) {
     Host host;
     Picture out;
@@ -404,6 +406,7 @@ Picture render_with(std::vector<WorkerScript> workers, FrameRequest request = sm
         const auto viewer = co_await join(host, Role::viewer);
         co_await upload(viewer, small_scene(1));
         for (const WorkerScript& script : workers) start_worker(host, script);
+        while (host.workers_in < workers.size()) co_await asio::post(host.io, asio::use_awaitable);
         out = co_await render(viewer, request);
     });
     return out;
