@@ -1,9 +1,14 @@
 #include "common/tile_codec.h"
 
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cstring>
 #include <optional>
+
+#ifdef __SSE__
+#include <xmmintrin.h>
+#endif
 
 #include "common/check.h"
 
@@ -14,6 +19,8 @@ static_assert(std::endian::native == std::endian::little, "packed tiles are litt
 
 constexpr unsigned plain = 32;  ///< bits per pixel of a channel without a palette
 constexpr unsigned most_palette_bits = 4;
+/// More is not read again before other things have taken its place in the caches.
+constexpr std::size_t cached_bytes = 8 << 20;
 
 /// A pixel's floats as bits, because NaNs and zeros of either sign are kept as they are.
 template <int floats>
@@ -86,18 +93,66 @@ void pack_channel(std::span<const float> values, Bytes& out) {
         out[begin + i * bits / 8] |= std::byte(palette->indices[i] << (i * bits % 8));
 }
 
-/// Puts a channel's pixels into `plane`, which is `width` pixels wide.
+/// Four lanes, as GCC and Clang have them.
+using Float4 = float __attribute__((vector_size(16)));
+using Int4 = std::int32_t __attribute__((vector_size(16)));
+
+/// What a sum over one value is.
+float sum_of(float value) { return value * 0 == 0 ? 0 + value : 0; }
+Float4 sum_of(Float4 value) {
+    const Int4 finite = value * 0 == Float4{};
+    return Float4(Int4(0 + value) & finite);
+}
+
+/// Without the caches where the machine can. `to` is where four floats may begin.
+void store_far(float* to, Float4 value) {
+#ifdef __SSE__
+    _mm_stream_ps(to, value);
+#else
+    std::memcpy(to, &value, sizeof value);
+#endif
+}
+
+/// A channel of a picture, and how a tile's pixels get there.
+struct Plane {
+    float* data;
+    std::size_t width;  ///< in pixels
+    bool past_caches;   ///< which do not hold all channels
+    bool sums;          ///< is to be sum_of() the values
+};
+
+/// Puts a row's floats into `to`. Past the caches only by whole cache lines: memory takes longer
+/// for parts.
+void put_row(const std::byte* from, std::size_t floats, const Plane& plane, float* to) {
+    const bool whole_lines = (std::bit_cast<std::uintptr_t>(to) | 4 * floats) % 64 == 0;
+    const bool past_caches = plane.past_caches && whole_lines;
+    std::size_t i = 0;
+    for (; i + 4 <= floats; i += 4) {
+        Float4 v;
+        std::memcpy(&v, from + 4 * i, sizeof v);
+        if (plane.sums) v = sum_of(v);
+        if (past_caches)
+            store_far(to + i, v);
+        else
+            std::memcpy(to + i, &v, sizeof v);
+    }
+    for (; i < floats; ++i) {
+        std::memcpy(to + i, from + 4 * i, sizeof(float));
+        if (plane.sums) to[i] = sum_of(to[i]);
+    }
+}
+
 template <int floats>
-void unpack_channel(unsigned bits, const std::byte* coded, const Rect& rect, std::size_t width,
-                    float* plane) {
+void unpack_channel(unsigned bits, const std::byte* coded, const Rect& rect, const Plane& plane) {
     constexpr std::size_t pixel_bytes = sizeof(Entry<floats>);
     const std::byte* indices = coded + (pixel_bytes << (bits % plain));
+    const auto across = std::size_t(rect.width());
     std::size_t i = 0;
     for (int y = rect.y0; y < rect.y1; ++y) {
-        float* to = plane + std::size_t(floats) * (std::size_t(y) * width + std::size_t(rect.x0));
-        const auto across = std::size_t(rect.width());
+        float* to = plane.data +
+                    std::size_t(floats) * (std::size_t(y) * plane.width + std::size_t(rect.x0));
         if (bits == plain) {
-            std::memcpy(to, coded + i * pixel_bytes, across * pixel_bytes);
+            put_row(coded + i * pixel_bytes, floats * across, plane, to);
             i += across;
             continue;
         }
@@ -108,6 +163,8 @@ void unpack_channel(unsigned bits, const std::byte* coded, const Rect& rect, std
                     : std::size_t(indices[i * bits / 8]) >> (i * bits % 8) & ((1u << bits) - 1);
             std::memcpy(to + std::size_t(floats) * x, coded + index * pixel_bytes, pixel_bytes);
         }
+        if (plane.sums)
+            std::transform(to, to + floats * across, to, [](float v) { return sum_of(v); });
     }
 }
 
@@ -151,16 +208,25 @@ bool is_packed_tile(ChannelSet channels, std::size_t pixels, std::span<const std
 }
 
 void unpack_tile(ChannelSet channels, std::span<const std::byte> packed, const Rect& rect,
-                 ImageSize picture, std::span<float> planes) {
+                 ImageSize picture, std::span<float> planes, Unpacked how) {
     CHECK_EQ(planes.size(), picture.pixels() * std::size_t(floats_per_pixel(channels)));
-    float* plane = planes.data();
-    const auto width = std::size_t(picture.width);
+    Plane plane{.data = planes.data(),
+                .width = std::size_t(picture.width),
+                .past_caches = planes.size_bytes() > cached_bytes,
+                .sums = false};
     const auto put = [&](Channel c, unsigned bits, const std::byte* coded) {
-        floats_per_pixel(c) == 1 ? unpack_channel<1>(bits, coded, rect, width, plane)
-                                 : unpack_channel<3>(bits, coded, rect, width, plane);
-        plane += picture.pixels() * std::size_t(floats_per_pixel(c));
+        plane.sums = c == Channel::radiance && how == Unpacked::radiance_is_a_sum;
+        floats_per_pixel(c) == 1 ? unpack_channel<1>(bits, coded, rect, plane)
+                                 : unpack_channel<3>(bits, coded, rect, plane);
+        plane.data += picture.pixels() * std::size_t(floats_per_pixel(c));
     };
     CHECK(for_each_channel(channels, rect.pixels(), packed, put));
+}
+
+void finish_unpacking() {
+#ifdef __SSE__
+    _mm_sfence();
+#endif
 }
 
 }  // namespace tessera

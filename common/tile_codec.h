@@ -27,9 +27,16 @@ Bytes pack_tile(ChannelSet channels, std::size_t pixels, std::span<const float> 
 /// palette.
 bool is_packed_tile(ChannelSet channels, std::size_t pixels, std::span<const std::byte> packed);
 
+enum class Unpacked : std::uint8_t {
+    same_bits,
+    radiance_is_a_sum,  ///< of this tile alone: 0 + radiance, and 0 where it is not finite
+};
+
 /// Puts a packed tile into its place `rect` of `planes`, the same channels of a whole picture. Our
-/// bug if it is no such tile.
+/// bug if it is no such tile. Goes past the caches where the planes are larger: call
+/// finish_unpacking() before another thread reads them.
 void unpack_tile(ChannelSet channels, std::span<const std::byte> packed, const Rect& rect,
-                 ImageSize picture, std::span<float> planes);
+                 ImageSize picture, std::span<float> planes, Unpacked how = Unpacked::same_bits);
+void finish_unpacking();
 
 }  // namespace tessera

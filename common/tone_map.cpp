@@ -1,5 +1,61 @@
 #include "common/tone_map.h"
 
+#define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_AVX3_DL)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "common/tone_map.cpp"
+#include "hwy/foreach_target.h"
+// foreach_target.h comes first.
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace tessera {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+/// ToneTable's operator() for whole batches of values; returns how many these are. The lanes do all
+/// but the look-up: to gather is no faster than to load one by one, and slower on many machines.
+std::size_t put_batches(std::span<const std::uint32_t> table, std::uint32_t first,
+                        std::span<const float> radiance, float scale, std::uint8_t* out) {
+    constexpr std::size_t batch = 64;
+    constexpr int cell_bits = 16;
+    constexpr hn::CappedTag<float, 16> floats;
+    constexpr hn::RebindToSigned<decltype(floats)> ints;
+    constexpr hn::RebindToUnsigned<decltype(floats)> words;
+    constexpr hn::Rebind<std::uint8_t, decltype(floats)> bytes;
+    const std::size_t lanes = hn::Lanes(floats);
+    const auto lowest = hn::Set(ints, std::int32_t(first));
+    const auto highest = hn::Set(ints, std::int32_t((table.size() << cell_bits) - 1));
+    const auto infinite = hn::Set(ints, 0x7f800000);
+    const auto lower_bits = hn::Set(words, (1u << cell_bits) - 1);
+    const auto scales = hn::Set(floats, scale);
+    HWY_ALIGN std::uint32_t cells[batch], within[batch];
+    const std::size_t count = radiance.size() / batch * batch;
+    for (std::size_t begin = 0; begin < count; begin += batch) {
+        for (std::size_t i = 0; i < batch; i += lanes) {
+            // Negative ones are negative integers, too.
+            const auto bits = hn::BitCast(ints, hn::LoadU(floats, &radiance[begin + i]) * scales);
+            const auto above = hn::IfThenElseZero(bits < infinite, hn::Max(bits, lowest) - lowest);
+            const auto cell = hn::BitCast(words, hn::Min(above, highest));
+            hn::Store(hn::ShiftRight<cell_bits>(cell), words, cells + i);
+            hn::Store(hn::And(cell, lower_bits), words, within + i);
+        }
+        for (std::uint32_t& cell : cells) cell = table[cell];
+        for (std::size_t i = 0; i < batch; i += lanes) {
+            const auto sum = hn::Load(words, cells + i) + hn::Load(words, within + i);
+            hn::StoreU(hn::TruncateTo(bytes, hn::ShiftRight<cell_bits>(sum)), bytes,
+                       out + begin + i);
+        }
+    }
+    return count;
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace tessera
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -72,14 +128,26 @@ ToneTable::ToneTable(const ToneMap& tone_map)
     }
 }
 
+HWY_EXPORT(put_batches);
+
+void ToneTable::put(std::span<const float> radiance, float scale, std::uint8_t* out) const {
+    const std::size_t done =
+        HWY_DYNAMIC_DISPATCH(put_batches)(cells_, lowest_, radiance, scale, out);
+    for (std::size_t i = done; i < radiance.size(); ++i) out[i] = (*this)(radiance[i] * scale);
+}
+
 std::vector<std::uint8_t> to_srgb8(const Image& image, const ToneMap& tone_map) {
     const ToneTable table(tone_map);
-    std::vector<std::uint8_t> out;
-    out.reserve(image.size.pixels() * 3);
+    std::vector<std::uint8_t> out(image.size.pixels() * 3);
+    if (image.channels == 3) {
+        table.put(image.data, 1, out.data());
+        return out;
+    }
     const std::size_t channels = std::size_t(image.channels);
     for (std::size_t p = 0; p < image.size.pixels(); ++p)
-        for (std::size_t c = 0; c < 3; ++c) out.push_back(table(image.data[p * channels + c]));
+        for (std::size_t c = 0; c < 3; ++c) out[3 * p + c] = table(image.data[p * channels + c]);
     return out;
 }
 
 }  // namespace tessera
+#endif

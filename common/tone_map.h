@@ -5,6 +5,7 @@
 #include <array>
 #include <bit>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "common/image.h"
@@ -44,6 +45,9 @@ public:
         const std::uint32_t within = std::min(above, cells * cell - 1);
         return std::uint8_t((cells_[within / cell] + within % cell) / cell);
     }
+
+    /// The same for each of `radiance` times `scale`, by as many lanes as there are.
+    void put(std::span<const float> radiance, float scale, std::uint8_t* out) const;
 
 private:
     static constexpr std::uint32_t infinity = 0x7f800000;

@@ -29,6 +29,8 @@ void DetailBlend::add_row(int y, std::span<const float> detail, std::uint32_t ru
     float* mean = &mean_[std::size_t(y) * row];
     float* squares = &squares_[std::size_t(y) * row];
     const float per_run = 1 / float(runs);
+    if (runs == 1) std::fill_n(mean, row, 0.0f);
+    if (runs == 1) std::fill_n(squares, row, 0.0f);
     for (std::size_t i = 0; i < row; ++i) {
         const float deviation = detail[i] - mean[i];
         mean[i] += deviation * per_run;

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "common/image.h"
+#include "common/raw_vector.h"
 
 namespace tessera {
 
@@ -52,9 +53,9 @@ private:
     ImageSize size_;
     ImageSize blocks_;
     std::uint32_t runs_ = 0;
-    std::vector<float> mean_;
-    std::vector<float> squares_;  ///< squared deviations from it (Welford 1962)
-    std::vector<Block> of_row_;   ///< blocks_.width for each row of pixels
+    RawVector<float> mean_;      ///< from the first run on
+    RawVector<float> squares_;   ///< squared deviations from it (Welford 1962)
+    std::vector<Block> of_row_;  ///< blocks_.width for each row of pixels
 };
 
 }  // namespace tessera

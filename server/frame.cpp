@@ -37,8 +37,12 @@ bool of_first_pass(Channel c) {
            c == Channel::path_length;
 }
 
-/// Zero in place of what is not finite.
-float finite_or_zero(float v) { return v * 0 == 0 ? v : 0; }
+/// Zero in place of what is not finite. By bits and a mask, or else gcc would not vectorise.
+float finite_or_zero(float v) {
+    constexpr std::uint32_t exponent = 0x7f800000;
+    const auto bits = std::bit_cast<std::uint32_t>(v);
+    return std::bit_cast<float>(bits & -std::uint32_t((bits & exponent) != exponent));
+}
 
 std::vector<Channel> channels_in(ChannelSet set) {
     std::vector<Channel> out;
@@ -79,26 +83,45 @@ std::span<const float> FrameSums::irradiance_rows(const RunBuffer& run, int y0, 
     return filtered_;
 }
 
-/// Adds the radiance of a row, and updates mean and squared deviations of the runs' means.
+/// Whether the run's data are the sums after it: the first of a frame of radiance alone, which the
+/// assembler unpacks as sums.
+bool FrameSums::is_sum(const RunBuffer& run) const {
+    return runs_ == 0 && spec_.settings.integrator != Integrator::igi &&
+           run.data.size() == sum_.size();
+}
+
+/// Adds the radiance of a row, and updates mean and squared deviations of the runs' means. The
+/// first run is added to what has no value yet.
 void FrameSums::fold_row(const RunBuffer& run, std::span<const float> irradiance, int y) {
-    const bool igi = spec_.settings.integrator == Integrator::igi;
-    const std::span<const float> radiance = channel_of(spec_, run, Channel::radiance);
-    const std::span<const float> albedo =
-        igi ? channel_of(spec_, run, Channel::albedo) : std::span<const float>();
     const std::size_t row_floats = 3 * std::size_t(spec_.size.width);
     const std::size_t begin = std::size_t(y) * row_floats;
+    const float* lit = &channel_of(spec_, run, Channel::radiance)[begin];
+    std::vector<float> shaded;
+    if (spec_.settings.integrator == Integrator::igi) {
+        const float* albedo = &channel_of(spec_, run, Channel::albedo)[begin];
+        const float* arriving = &irradiance[begin];
+        shaded.resize(row_floats);
+        for (std::size_t i = 0; i < row_floats; ++i)
+            shaded[i] = lit[i] + albedo[i] * (1 / pi) * arriving[i];
+        lit = shaded.data();
+    }
+    float* __restrict sum = &sum_[begin];
+    if (runs_ == 0) {
+        for (std::size_t i = 0; i < row_floats; ++i) sum[i] = 0 + finite_or_zero(lit[i]);
+        return;
+    }
     const float per_pass = 1 / float(run.passes);
     const float per_run = 1 / float(runs_ + 1);
-    for (std::size_t i = begin; i < begin + row_floats; ++i) {
-        const float lit = igi ? radiance[i] + albedo[i] * (1 / pi) * irradiance[i] : radiance[i];
-        const float value = finite_or_zero(lit);
-        sum_[i] += value;
-        if (runs_ == 0) continue;
-        const float deviation = value * per_pass - mean_[i];
-        mean_[i] += deviation * per_run;
-        squares_[i] += deviation * (value * per_pass - mean_[i]);
+    float* __restrict mean = &mean_[begin];
+    float* __restrict squares = &squares_[begin];
+    for (std::size_t i = 0; i < row_floats; ++i) {
+        const float value = finite_or_zero(lit[i]);
+        sum[i] += value;
+        const float deviation = value * per_pass - mean[i];
+        mean[i] += deviation * per_run;
+        squares[i] += deviation * (value * per_pass - mean[i]);
     }
-    if (runs_ > 0) row_errors_[std::size_t(y)] = row_error(y);
+    row_errors_[std::size_t(y)] = row_error(y);
 }
 
 /// Squared standard errors of a row's means, as far as they are visible within [0, 1].
@@ -158,7 +181,7 @@ void FrameSums::fold(const RunBuffer& run, int y0, int y1) {
     const std::span<const float> irradiance =
         igi ? irradiance_rows(run, y0, y1) : std::span<const float>();
     for (int y = y0; y < y1; ++y) {
-        fold_row(run, irradiance, y);
+        if (!is_sum(run)) fold_row(run, irradiance, y);
         if (detail_) fold_detail(run, irradiance, y);
     }
 
@@ -190,7 +213,8 @@ void FrameSums::fold_owners(const RunBuffer& run, int y0, int y1) {
         }
 }
 
-void FrameSums::finish_run(const RunBuffer& run) {
+void FrameSums::finish_run(RunBuffer& run) {
+    if (is_sum(run)) sum_.swap(run.data);
     ++runs_;
     passes_ += run.passes;
     if (runs_ != 1 || run_count(spec_.settings) == 1) return;
@@ -198,6 +222,7 @@ void FrameSums::finish_run(const RunBuffer& run) {
     make_means();
     const float per_pass = 1 / float(passes_);
     for (std::size_t i = 0; i < sum_.size(); ++i) mean_[i] = sum_[i] * per_pass;
+    std::ranges::fill(squares_, 0.0f);
 }
 
 void FrameSums::make_means() {
@@ -208,7 +233,7 @@ void FrameSums::make_means() {
 /// All that the sums are made of, but for the number of runs, in the order in which it is saved.
 std::vector<std::span<std::byte>> FrameSums::parts() {
     std::vector<std::span<std::byte>> out;
-    for (std::vector<float>* part : {&sum_, &mean_, &squares_})
+    for (RawVector<float>* part : {&sum_, &mean_, &squares_})
         out.push_back(std::as_writable_bytes(std::span(*part)));
     out.push_back(std::as_writable_bytes(std::span(row_errors_)));
     for (auto& [channel, sums] : extra_) out.push_back(std::as_writable_bytes(std::span(sums)));
@@ -270,11 +295,26 @@ Image FrameSums::picture() const {
 }
 
 void FrameSums::picture_rows(int y0, int y1, std::span<float> out) const {
-    const std::size_t row = 3 * std::size_t(spec_.size.width);
-    const float scale = 1 / float(std::max(passes_, 1u));
-    const float* sums = &sum_[std::size_t(y0) * row];
-    for (std::size_t i = 0; i < std::size_t(y1 - y0) * row; ++i) out[i] = sums[i] * scale;
+    const std::span<const float> sums = sum_rows(y0, y1);
+    if (runs_ == 0) std::fill_n(out.begin(), sums.size(), 0.0f);
+    if (runs_ == 0) return;
+    const float scale = 1 / float(passes_);
+    for (std::size_t i = 0; i < sums.size(); ++i) out[i] = sums[i] * scale;
     if (detail_) detail_->add_to(out, y0, y1);
+}
+
+std::span<const float> FrameSums::sum_rows(int y0, int y1) const {
+    const std::size_t row = 3 * std::size_t(spec_.size.width);
+    return std::span(sum_).subspan(std::size_t(y0) * row, std::size_t(y1 - y0) * row);
+}
+
+void FrameSums::srgb8_rows(const ToneTable& table, int y0, int y1, std::uint8_t* out) const {
+    // Without detail the bytes come from the sums at once.
+    if (runs_ > 0 && (!detail_ || runs_ < 2))
+        return table.put(sum_rows(y0, y1), 1 / float(passes_), out);
+    std::vector<float> rows(sum_rows(y0, y1).size());
+    picture_rows(y0, y1, rows);
+    table.put(rows, 1, out);
 }
 
 /// As row_error() counts it.
@@ -302,16 +342,16 @@ Image FrameSums::channel(Channel c) const {
     return image;
 }
 
-std::vector<float> BufferPool::take(std::size_t floats) {
+RawVector<float> BufferPool::take(std::size_t floats) {
     const auto found = std::find_if(buffers_.begin(), buffers_.end(),
                                     [&](const auto& buffer) { return buffer.size() == floats; });
-    if (found == buffers_.end()) return std::vector<float>(floats);
-    std::vector<float> out = std::move(*found);
+    if (found == buffers_.end()) return RawVector<float>(floats);
+    RawVector<float> out = std::move(*found);
     buffers_.erase(found);
     return out;
 }
 
-void BufferPool::put(std::vector<float> buffer) {
+void BufferPool::put(RawVector<float> buffer) {
     buffers_.push_front(std::move(buffer));
     std::size_t bytes = 0;
     for (const auto& kept : buffers_) bytes += kept.size() * sizeof(float);
@@ -352,7 +392,9 @@ Arrival FrameAssembler::add(const TileTask& task, std::span<const std::byte> pix
     const std::uint8_t all = (1u << quarters) - 1;
     const std::uint8_t these = task.part == 0 ? all : std::uint8_t(1u << (task.part - 1));
     if ((here & these) == these) return Arrival::duplicate;
-    unpack_tile(channels_, pixels, rect_of(spec_.size, task), spec_.size, buffer.data);
+    unpack_tile(channels_, pixels, rect_of(spec_.size, task), spec_.size, buffer.data,
+                spec_.settings.integrator == Integrator::igi ? Unpacked::same_bits
+                                                             : Unpacked::radiance_is_a_sum);
     for (std::uint32_t q = 0; q < quarters; ++q)
         if (these >> q & 1) buffer.owners[quarters * task.tile + q] = float(owner);
     if (!lights.empty()) {
@@ -384,6 +426,7 @@ std::optional<RunBuffer> FrameAssembler::take_complete() {
     const auto next = open_.find(folded_);
     if (folding_ || next == open_.end() || next->second.quarters_missing > 0) return std::nullopt;
     folding_ = true;
+    finish_unpacking();
     RunBuffer run = std::move(next->second);
     open_.erase(next);
     return run;

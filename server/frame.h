@@ -16,7 +16,9 @@
 #include <vector>
 
 #include "common/image.h"
+#include "common/raw_vector.h"
 #include "common/tile.h"
+#include "common/tone_map.h"
 #include "server/detail_blend.h"
 
 namespace tessera {
@@ -28,7 +30,7 @@ struct RunBuffer {
     std::uint32_t quarters_missing = 0;
     std::vector<std::uint8_t> quarters_here;  ///< by tile: a bit for each
     std::vector<float> owners;                ///< by quarter: number of the worker
-    std::vector<float> data;
+    RawVector<float> data;
     /// By quarter, a whole tile's in its first; none: not tracked.
     std::vector<std::vector<LightEstimate>> lights;
 };
@@ -48,8 +50,9 @@ public:
 
     /// Filters and adds rows y0 <= y < y1 of a complete run. Bands of rows may be folded at the
     /// same time by different threads; all bands of a run, then finish_run, then the next run.
+    /// finish_run may keep the run's data, and leaves such as it needs no more.
     void fold(const RunBuffer& run, int y0, int y1);
-    void finish_run(const RunBuffer& run);
+    void finish_run(RunBuffer& run);
 
     std::uint32_t runs() const { return runs_; }
     std::uint32_t passes() const { return passes_; }
@@ -62,6 +65,8 @@ public:
     Image picture() const;
     /// Its rows y0 <= y < y1.
     void picture_rows(int y0, int y1, std::span<float> out) const;
+    /// The same as bytes.
+    void srgb8_rows(const ToneTable& table, int y0, int y1, std::uint8_t* out) const;
     /// A channel of spec.extra: the mean over passes (irradiance as filtered), but normal, depth,
     /// surface and path length as they are in the first pass, and owners those of the last run.
     Image channel(Channel c) const;
@@ -70,6 +75,8 @@ public:
     std::vector<LightEstimate> lights(std::size_t most) const;
 
 private:
+    bool is_sum(const RunBuffer& run) const;
+    std::span<const float> sum_rows(int y0, int y1) const;
     std::span<const float> irradiance_rows(const RunBuffer& run, int y0, int y1);
     void fold_row(const RunBuffer& run, std::span<const float> irradiance, int y);
     void fold_lights(const RunBuffer& run);
@@ -83,13 +90,13 @@ private:
     FrameSpec spec_;
     std::uint32_t runs_ = 0;
     std::uint32_t passes_ = 0;
-    std::vector<float> sum_;
+    RawVector<float> sum_;  ///< from the first run on
     // From the second run on:
-    std::vector<float> mean_;         ///< of the runs' means; runs count the same
-    std::vector<float> squares_;      ///< squared deviations from it (Welford 1962)
+    RawVector<float> mean_;           ///< of the runs' means; runs count the same
+    RawVector<float> squares_;        ///< squared deviations from it (Welford 1962)
     std::vector<double> row_errors_;  ///< squared standard errors added up per row
     std::optional<DetailBlend> detail_;
-    std::vector<float> filtered_;  ///< irradiance of the run being folded
+    RawVector<float> filtered_;  ///< irradiance of the run being folded
     std::map<Channel, std::vector<float>> extra_;
     std::unordered_map<std::uint32_t, double> lights_;
     std::uint32_t light_passes_ = 0;
@@ -108,12 +115,12 @@ enum class Arrival : std::uint8_t {
 class BufferPool {
 public:
     /// Of unknown contents.
-    std::vector<float> take(std::size_t floats);
+    RawVector<float> take(std::size_t floats);
     /// Keeps a buffer as long as it is among the newest.
-    void put(std::vector<float> buffer);
+    void put(RawVector<float> buffer);
 
 private:
-    std::deque<std::vector<float>> buffers_;  ///< newest first
+    std::deque<RawVector<float>> buffers_;  ///< newest first
 };
 
 class FrameAssembler {

@@ -9,10 +9,10 @@
 namespace tessera {
 namespace {
 
-template <class T>
+template <class Vector>
 PicturePart make_part(std::uint64_t request, Channel channel, PictureFormat format, ImageSize size,
-                      int components, std::vector<T> values) {
-    const auto owner = std::make_shared<const std::vector<T>>(std::move(values));
+                      int components, Vector values) {
+    const auto owner = std::make_shared<const Vector>(std::move(values));
     const std::span<const std::byte> bytes = std::as_bytes(std::span(*owner));
     return {.whole = {.request = request,
                       .channel = channel,
@@ -31,19 +31,13 @@ PicturePart linear_part(std::uint64_t request, Channel channel, Image image) {
 }
 
 /// A few rows at a time, which stay in the cache.
-std::vector<std::uint8_t> srgb8_of(const FrameSums& sums, ImageSize size, const ToneMap& tone_map) {
+RawVector<std::uint8_t> srgb8_of(const FrameSums& sums, ImageSize size, const ToneMap& tone_map) {
     constexpr int band = 16;
     const ToneTable table(tone_map);
     const std::size_t row = 3 * std::size_t(size.width);
-    std::vector<float> rows(band * row);
-    std::vector<std::uint8_t> out(std::size_t(size.height) * row);
-    auto byte = out.begin();
-    for (int y = 0; y < size.height; y += band) {
-        const int end = std::min(y + band, size.height);
-        const std::span<float> values(rows.data(), std::size_t(end - y) * row);
-        sums.picture_rows(y, end, values);
-        byte = std::ranges::transform(values, byte, table).out;
-    }
+    RawVector<std::uint8_t> out(std::size_t(size.height) * row);
+    for (int y = 0; y < size.height; y += band)
+        sums.srgb8_rows(table, y, std::min(y + band, size.height), &out[std::size_t(y) * row]);
     return out;
 }
 

@@ -214,7 +214,7 @@ TEST(Frame, picture_is_the_mean_of_radiance_and_filtered_irradiance) {
     const FrameSpec spec = small_frame(Integrator::igi, 1);
     Assembly frame(spec);
     for (const TileTask& task : all_tasks(spec)) frame.add(task);
-    const RunBuffer run = *frame.assembler.take_complete();
+    RunBuffer run = *frame.assembler.take_complete();
     frame.sums.fold(run, 0, spec.size.height);
     frame.sums.finish_run(run);
 
@@ -245,12 +245,12 @@ TEST(Frame, error_estimate_is_the_standard_error_of_the_mean_of_runs) {
     for (const TileTask& task : all_tasks(spec)) {
         frame.add(task);
         if (task.tile + 1 < tile_count(spec.size)) continue;
-        const RunBuffer run = *frame.assembler.take_complete();
-        frame.sums.fold(run, 0, spec.size.height);
-        frame.sums.finish_run(run);
+        RunBuffer run = *frame.assembler.take_complete();
         means.emplace_back();
         for (std::size_t i = 0; i < 3 * spec.size.pixels(); ++i)
             means.back().push_back(run.data[i] / double(run.passes));
+        frame.sums.fold(run, 0, spec.size.height);
+        frame.sums.finish_run(run);
         frame.assembler.run_folded(run);
     }
     double sum = 0;
@@ -323,16 +323,42 @@ TEST(Frame, runs_in_flight_are_bounded_by_what_has_been_folded) {
     EXPECT_EQ(frame.assembler.run_limit(), frame.assembler.window() + 1);
 }
 
-TEST(Frame, values_that_are_not_finite_do_not_reach_the_picture) {
-    const FrameSpec spec = small_frame(Integrator::igi, 1);
-    Assembly frame(spec);
-    for (const TileTask& task : all_tasks(spec)) {
-        TileResult result = fake_answer(spec, task);
-        for (std::size_t i = 0; i < result.data.size(); i += 17) result.data[i] = std::nanf("");
-        frame.assembler.add(task, packed(spec, result));
+TEST(Frame, bytes_are_those_of_the_picture) {
+    const ToneTable table({});
+    for (const Integrator integrator : {Integrator::igi, Integrator::path}) {
+        FrameSpec spec = small_frame(integrator, integrator == Integrator::igi ? 3 : 70);
+        if (integrator == Integrator::path) spec.extra = {};
+        Assembly frame(spec);
+        const auto expect_bytes = [&] {
+            const Image picture = frame.sums.picture();
+            std::vector<std::uint8_t> bytes(picture.data.size());
+            for (int y = 0; y < spec.size.height; y += 16)
+                frame.sums.srgb8_rows(table, y, std::min(y + 16, spec.size.height),
+                                      &bytes[3 * std::size_t(y * spec.size.width)]);
+            EXPECT_TRUE(std::ranges::equal(bytes, picture.data, {}, {}, table));
+        };
+        expect_bytes();  // black
+        for (const TileTask& task : all_tasks(spec)) {
+            frame.add(task);
+            frame.fold(spec.size.height);
+            if (task.tile + 1 == tile_count(spec.size)) expect_bytes();
+        }
     }
-    frame.fold(10);
-    for (float v : frame.sums.picture().data) ASSERT_TRUE(std::isfinite(v));
+}
+
+TEST(Frame, values_that_are_not_finite_do_not_reach_the_picture) {
+    for (const Integrator integrator : {Integrator::igi, Integrator::path}) {
+        FrameSpec spec = small_frame(integrator, 1);
+        if (integrator == Integrator::path) spec.extra = {};
+        Assembly frame(spec);
+        for (const TileTask& task : all_tasks(spec)) {
+            TileResult result = fake_answer(spec, task);
+            for (std::size_t i = 0; i < result.data.size(); i += 17) result.data[i] = std::nanf("");
+            frame.assembler.add(task, packed(spec, result));
+        }
+        frame.fold(10);
+        for (float v : frame.sums.picture().data) ASSERT_TRUE(std::isfinite(v));
+    }
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <bit>
+#include <cmath>
 #include <limits>
 #include <random>
 
@@ -67,6 +68,38 @@ TEST(TileCodec, unpacking_inverts_packing_to_the_bit) {
             plane += n * picture.pixels();
         }
         ASSERT_EQ(bits_of(planes), bits_of(expected));
+    }
+}
+
+TEST(TileCodec, large_pictures_and_sums_get_the_same_values) {
+    std::mt19937 random(4);
+    const ChannelSet channels = ChannelSet{}.with(Channel::radiance).with(Channel::depth);
+    for (const ImageSize picture : {ImageSize{1024, 1024}, ImageSize{1003, 1021}, {64, 64}}) {
+        std::vector<float> planes(picture.pixels() * 4), sums(planes.size());
+        for (const std::uint32_t tile : {0u, 5u, tile_count(picture) - 1}) {
+            const Rect rect = tile_rect(picture, tile);
+            const std::vector<float> data =
+                random_tile(random, channels, rect.pixels(), 1 + unsigned(random() % 300));
+            const Bytes packed = pack_tile(channels, rect.pixels(), data);
+            unpack_tile(channels, packed, rect, picture, planes);
+            unpack_tile(channels, packed, rect, picture, sums, Unpacked::radiance_is_a_sum);
+            finish_unpacking();
+            std::size_t from = 0;
+            for (int y = rect.y0; y < rect.y1; ++y)
+                for (int i = 3 * rect.x0; i < 3 * rect.x1; ++i, ++from) {
+                    const std::size_t at = 3 * std::size_t(y * picture.width) + std::size_t(i);
+                    const float sum = std::isfinite(data[from]) ? 0 + data[from] : 0;
+                    ASSERT_EQ(bits_of({&planes[at], 1}), bits_of({&data[from], 1}));
+                    ASSERT_EQ(bits_of({&sums[at], 1}), bits_of({&sum, 1}));
+                }
+            for (int y = rect.y0; y < rect.y1; ++y)
+                for (int x = rect.x0; x < rect.x1; ++x, ++from) {
+                    const std::size_t at =
+                        3 * picture.pixels() + std::size_t(y * picture.width) + std::size_t(x);
+                    ASSERT_EQ(bits_of({&planes[at], 1}), bits_of({&data[from], 1}));
+                    ASSERT_EQ(bits_of({&sums[at], 1}), bits_of({&data[from], 1}));
+                }
+        }
     }
 }
 

@@ -5,11 +5,13 @@
 
 #include <gtest/gtest.h>
 
+#include <bit>
 #include <cmath>
 #include <limits>
 #include <random>
 
 #include "common/false_colour.h"
+#include "hwy/targets.h"
 
 namespace tessera {
 namespace {
@@ -113,6 +115,29 @@ TEST(ToneMap, bytes_are_the_curve_rounded) {
                 ASSERT_NEAR(bytes[i], exact, 0.5005f) << image.data[i];
             }
         }
+}
+
+/// Whatever the floats, however many, on every instruction set of this machine.
+TEST(ToneMap, many_values_at_once_get_the_bytes_of_each) {
+    std::mt19937 random(8);
+    for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
+        hwy::SetSupportedTargetsForTest(target);
+        for (const ToneCurve curve : {ToneCurve::srgb, ToneCurve::filmic})
+            for (const float exposure : {-500.0f, -3.0f, 0.0f, 5.5f, 500.0f}) {
+                const ToneTable table({curve, exposure});
+                std::vector<float> values(1000 + random() % 100);
+                for (float& value : values)
+                    value = random() % 2 ? std::bit_cast<float>(std::uint32_t(random()))
+                                         : std::ldexp(float(random()), int(random() % 20) - 48);
+                for (const float scale : {1.0f, 1.0f / 3, -1.0f}) {
+                    std::vector<std::uint8_t> bytes(values.size());
+                    table.put(values, scale, bytes.data());
+                    for (std::size_t i = 0; i < values.size(); ++i)
+                        ASSERT_EQ(bytes[i], table(values[i] * scale)) << values[i];
+                }
+            }
+    }
+    hwy::SetSupportedTargetsForTest(0);
 }
 
 TEST(ToneMap, takes_the_first_three_channels) {

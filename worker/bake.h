@@ -10,7 +10,7 @@
 #include <span>
 #include <vector>
 
-#include "worker/raw_vector.h"
+#include "common/raw_vector.h"
 #include "worker/tracer.h"
 
 namespace tessera {

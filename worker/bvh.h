@@ -13,8 +13,8 @@
 // speed.
 #pragma once
 
+#include "common/raw_vector.h"
 #include "worker/box_tree.h"
-#include "worker/raw_vector.h"
 
 namespace tessera {
 

@@ -5,9 +5,9 @@
 #include <memory>
 #include <mutex>
 
+#include "common/raw_vector.h"
 #include "worker/affine.h"
 #include "worker/bake.h"
-#include "worker/raw_vector.h"
 #include "worker/tracer.h"
 #include "worker/triangle.h"
 #include "worker/wide_tree.h"

@@ -1,6 +1,9 @@
-// A vector whose elements are not touched before they are written: by many threads, say.
+// A vector whose elements are not touched before they are written: by many threads, say. It begins
+// with a cache line.
 #pragma once
 
+#include <algorithm>
+#include <cstddef>
 #include <memory>
 #include <new>
 #include <vector>
@@ -13,6 +16,13 @@ struct RawAllocator : std::allocator<T> {
     struct rebind {
         using other = RawAllocator<U>;
     };
+    static constexpr std::align_val_t alignment{std::max<std::size_t>(64, alignof(T))};
+
+    T* allocate(std::size_t count) {
+        return static_cast<T*>(::operator new(count * sizeof(T), alignment));
+    }
+    void deallocate(T* place, std::size_t) { ::operator delete(place, alignment); }
+
     template <class U>
     void construct(U* place) {
         ::new (static_cast<void*>(place)) U;  // no parentheses: plain data stays as it is
