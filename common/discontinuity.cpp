@@ -37,8 +37,7 @@ public:
           reach_(filter.window / 2),
           rays_(filter.camera, filter.picture) {
         const std::size_t blocks = (std::size_t(rect.width()) + block_pixels - 1) / block_pixels;
-        for (int i = 0; i < filter.window; ++i)
-            ring_.emplace_back(blocks * block_pixels + 2 * std::size_t(reach_));
+        for (int i = 0; i < filter.window; ++i) ring_.emplace_back(blocks, std::size_t(reach_));
         window_ = {.rows = std::vector<const GuideRow*>(ring_.size()),
                    .reach = std::size_t(reach_),
                    .cosine = filter.normal_cosine,
@@ -54,7 +53,7 @@ public:
                 window_.rows[std::size_t(dy + reach_)] = &row(y + dy);
             for (int x = rect_.x0; x < rect_.x1; x += int(block_pixels)) {
                 float block[3 * block_pixels];
-                filter_block(window_, std::size_t(x - rect_.x0), block);
+                filter_block(window_, std::size_t(x - rect_.x0) / block_pixels, block);
                 std::copy_n(block, 3 * std::min(int(block_pixels), rect_.x1 - x),
                             &filtered[3 * index(x, y)]);
             }
@@ -95,7 +94,7 @@ void RectFilter::prepare(int y) {
                          .x = x0,
                          .corner = rays_.corner + float(y) * rays_.down,
                          .across = rays_.across};
-    prepare_row(pixels, std::size_t(x0 - rect_.x0 + reach_), out);
+    prepare_row(pixels, std::size_t(x0 - rect_.x0 + reach_), std::size_t(reach_), out);
 }
 
 }  // namespace
