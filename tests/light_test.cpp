@@ -147,6 +147,25 @@ TEST_P(LightTransport, RimsOfLampsHoldTheirMean) {
     expect_near(look(bundle, camera, 256), vec3(9 * 0.31f * 0.31f), 0.01f);
 }
 
+TEST_P(LightTransport, RimsOfLampsAreAsSmoothAtBordersOfTiles) {
+    // The lamp reaches over 0.3 of the first pixels of the tiles around the one in the middle.
+    constexpr int side = 3 * tile_size;
+    constexpr float reach = 0.5f * tile_size + 0.3f;
+    SceneBundle bundle;
+    add_shape(bundle, square(2 * reach / side, 0), emitter(vec3(9)));
+    Camera camera = from_above();
+    camera.fov_y = 90;
+    const FrameSpec spec = frame_of(GetParam(), {side, side}, camera, 1);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const std::vector<TileResult> tiles = render_all(renderer, spec);
+    for (const std::size_t tile : {1u, 3u, 5u, 7u})
+        for (int i = 1; i < tile_size - 1; ++i) {
+            const int border = tile < 4 ? tile_size - 1 : 0;
+            const int pixel = tile % 3 == 1 ? border * tile_size + i : i * tile_size + border;
+            EXPECT_NEAR(tiles[tile].data[std::size_t(3 * pixel)], 9 * 0.3f, 0.5f) << tile;
+        }
+}
+
 TEST_P(LightTransport, CeilingBesideALampThatHangsCloseBelow) {
     // Strips of the ceiling around the back of a lamp at distance h: from the edge on, the lamp is
     // nearly a half plane, whose irradiance at distance x from its edge is
