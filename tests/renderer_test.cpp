@@ -10,7 +10,7 @@
 #include <thread>
 
 #include "common/generator.h"
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/camera.h"
 
 namespace tessera {
