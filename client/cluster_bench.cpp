@@ -42,6 +42,18 @@ double cpu_seconds(pid_t pid) {
     return (user + system) / double(sysconf(_SC_CLK_TCK));
 }
 
+ServerFootprint footprint(pid_t pid, double at) {
+    const std::filesystem::path process = fmt::format("/proc/{}", pid);
+    std::ifstream in(process / "statm");
+    std::uint64_t all_pages = 0, resident_pages = 0;
+    in >> all_pages >> resident_pages;
+    std::error_code gone;
+    const std::filesystem::directory_iterator descriptors(process / "fd", gone);
+    return {.at = at,
+            .memory_bytes = resident_pages * std::uint64_t(sysconf(_SC_PAGESIZE)),
+            .descriptors = std::uint64_t(std::distance(begin(descriptors), end(descriptors)))};
+}
+
 /// A server, workers of either kind, and the pictures that must come out.
 class Load {
 public:
@@ -57,6 +69,7 @@ private:
     double recovery(Clock::time_point fault, const std::vector<LoadFrame>& frames,
                     double usual) const;
     double tasks_per_frame() const;
+    std::uint64_t bytes_from_workers();
 
     const ClusterBenchConfig& config_;
     const SceneBundle& bundle_;
@@ -146,6 +159,14 @@ double Load::tasks_per_frame() const {
            double((config_.spec.settings.passes + per_task - 1) / per_task);
 }
 
+/// That the server has received so far; of synthetic workers, that they have sent.
+std::uint64_t Load::bytes_from_workers() {
+    if (synthetic_) return synthetic_->traffic().bytes_out;
+    RenderClientConfig client = client_;
+    client.tick = [] {};
+    return RenderClient(client).status().worker_bytes;
+}
+
 ClusterBenchRow Load::measure() {
     asio::io_context io(1);
     std::exception_ptr failure;
@@ -167,16 +188,21 @@ ClusterBenchRow Load::measure() {
     std::sort(faults.begin(), faults.end());
     std::vector<int> victims;
     std::vector<Clock::time_point> fault_times;
-    const SyntheticTraffic traffic_before = synthetic_ ? synthetic_->traffic() : SyntheticTraffic{};
+    const std::uint64_t sent_before = bytes_from_workers();
+    const std::uint64_t received_before = synthetic_ ? synthetic_->traffic().bytes_in : 0;
     const auto server_cpu = [&] { return processes_ ? cpu_seconds(processes_->server()) : 0; };
     const double cpu_before = server_cpu();
     const auto start = Clock::now();
     ProgressBar bar;
     const auto elapsed = [&] { return seconds_between(start, Clock::now()); };
+    const auto look_at_server = [&](std::optional<ServerFootprint>& seen) {
+        if (processes_) seen = footprint(processes_->server(), elapsed());
+    };
     try {
         while (elapsed() < config_.seconds && !failure) {
             io.run_for(tick);
             interrupt_.check();
+            if (!row.early && elapsed() >= config_.seconds / 10) look_at_server(row.early);
             if (victims.size() < faults.size() && elapsed() >= faults[victims.size()].first) {
                 fault_times.push_back(Clock::now());
                 row.faults.push_back({.kind = faults[victims.size()].second, .at = elapsed()});
@@ -194,18 +220,17 @@ ClusterBenchRow Load::measure() {
 
     // Sum up.
     const double cpu_used = server_cpu() - cpu_before;
+    look_at_server(row.late);
     const std::vector<LoadFrame> frames = all_frames();
     for (const LoadFrame& frame : frames)
         row.seconds = std::max(row.seconds, seconds_between(start, frame.done));
     const double tiles = std::max(1.0, double(frames.size()) * tasks_per_frame());
     row.server_cpu_s_per_tile = cpu_used / tiles;
     summarise(row, frames);
-    if (synthetic_) {
-        const SyntheticTraffic traffic = synthetic_->traffic();
-        const double count = std::max(1.0, double(frames.size()));
-        row.bytes_from_workers = double(traffic.bytes_out - traffic_before.bytes_out) / count;
-        row.bytes_to_workers = double(traffic.bytes_in - traffic_before.bytes_in) / count;
-    }
+    const double count = std::max(1.0, double(frames.size()));
+    row.bytes_from_workers = double(bytes_from_workers() - sent_before) / count;
+    if (synthetic_)
+        row.bytes_to_workers = double(synthetic_->traffic().bytes_in - received_before) / count;
     std::vector<double> usual;
     for (const LoadFrame& frame : frames)
         if (fault_times.empty() || frame.done < fault_times.front()) usual.push_back(frame.final);
@@ -270,10 +295,6 @@ void Load::summarise(ClusterBenchRow& row, const std::vector<LoadFrame>& frames)
         row.most_share = std::ranges::max(shares);
     }
     row.bytes_to_viewer = double(received) / std::max(1.0, double(frames.size()));
-    const std::uint32_t per_task = passes_per_task(config_.spec.settings);
-    row.bytes_from_workers = double(config_.spec.size.pixels()) * sizeof(float) *
-                             floats_per_pixel(tile_channels(config_.spec)) *
-                             double((config_.spec.settings.passes + per_task - 1) / per_task);
 }
 
 }  // namespace

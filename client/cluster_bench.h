@@ -48,6 +48,13 @@ struct FaultReport {
     double recovery = 0;
 };
 
+/// What a server holds.
+struct ServerFootprint {
+    double at = 0;                   ///< seconds
+    std::uint64_t memory_bytes = 0;  ///< resident
+    std::uint64_t descriptors = 0;   ///< open
+};
+
 struct ClusterBenchRow {
     ClusterBenchConfig config;
     double seconds = 0;  ///< until the last frame was done
@@ -60,9 +67,11 @@ struct ClusterBenchRow {
     Percentiles first, final;
     double server_cpu_s_per_tile = 0;
     double bytes_to_viewer = 0;     ///< per frame, of one viewer
-    double bytes_from_workers = 0;  ///< per frame; of real workers, pixels before packing
+    double bytes_from_workers = 0;  ///< per frame
     std::optional<double> bytes_to_workers;
     std::uint64_t wrong_pixels = 0;
+    /// After a tenth of the time, and at the end, of a server that was started here.
+    std::optional<ServerFootprint> early, late;
     std::vector<FaultReport> faults;
     bool interrupted = false;  ///< by the user; the rest is about the time up to then
 };

@@ -88,6 +88,12 @@ void print_row(const ClusterBenchRow& row, std::optional<double> efficiency) {
     if (row.config.viewers > 1)
         fmt::print("        frames of each viewer: {:.2f} to {:.2f} of the mean\n", row.least_share,
                    row.most_share);
+    if (row.early && row.late)
+        fmt::print(
+            "        server: {:.1f} MB and {} descriptors after {:.1f} s, {:.1f} MB and {} after "
+            "{:.1f} s\n",
+            1e-6 * double(row.early->memory_bytes), row.early->descriptors, row.early->at,
+            1e-6 * double(row.late->memory_bytes), row.late->descriptors, row.late->at);
     for (const FaultReport& fault : row.faults)
         fmt::print("        {} after {:.2f} s: that frame {:.1f} ms later\n", fault.kind, fault.at,
                    1e3 * fault.recovery);
@@ -122,9 +128,15 @@ nlohmann::json json_of(const ClusterBenchRow& row, std::optional<double> efficie
                            {"bytes_per_frame", bytes},
                            {"recovery_s", nullptr},
                            {"faults", nlohmann::json::array()},
+                           {"server", nlohmann::json::array()},
                            {"wrong_pixels", row.wrong_pixels},
                            {"interrupted", row.interrupted}};
     if (efficiency) json["efficiency"] = *efficiency;
+    for (const auto& seen : {row.early, row.late})
+        if (seen)
+            json["server"].push_back({{"at_s", seen->at},
+                                      {"memory_bytes", seen->memory_bytes},
+                                      {"descriptors", seen->descriptors}});
     double longest = 0;
     for (const FaultReport& fault : row.faults) {
         longest = std::max(longest, fault.recovery);

@@ -28,6 +28,7 @@ void print_json(const Status& status) {
                            {"frames_in_flight", status.frames_in_flight},
                            {"frames_done", status.frames_done},
                            {"memory_bytes", status.memory_bytes},
+                           {"worker_bytes", status.worker_bytes},
                            {"scenes", nlohmann::json::array()},
                            {"workers", nlohmann::json::array()}};
     for (const SceneStatus& scene : status.scenes)

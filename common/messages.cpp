@@ -1029,6 +1029,7 @@ void pack(const Status& v, wire::Status& out) {
     pack_each(v.scenes, *out.mutable_scenes());
     pack_each(v.workers, *out.mutable_workers());
     out.set_memory_bytes(v.memory_bytes);
+    out.set_worker_bytes(v.worker_bytes);
 }
 void unpack(const wire::Status& in, Status& v) {
     v.build = in.build();
@@ -1039,6 +1040,7 @@ void unpack(const wire::Status& in, Status& v) {
     unpack_each(in.scenes(), v.scenes);
     unpack_each(in.workers(), v.workers);
     v.memory_bytes = in.memory_bytes();
+    v.worker_bytes = in.worker_bytes();
 }
 
 // ---- Kinds --------------------------------------------------------------------------------------

@@ -353,6 +353,7 @@ struct Status {
     std::vector<SceneStatus> scenes;
     std::vector<WorkerStatus> workers;
     std::uint64_t memory_bytes = 0;  ///< the server's, resident
+    std::uint64_t worker_bytes = 0;  ///< that have come from workers, also from those that left
 
     bool operator==(const Status&) const = default;
 };

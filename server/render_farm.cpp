@@ -154,7 +154,10 @@ void RenderFarm::add_worker(std::shared_ptr<WorkerSession> worker) {
 }
 
 void RenderFarm::remove_worker(std::uint64_t worker) {
-    if (workers_.erase(worker) == 0) return;
+    const auto gone = workers_.find(worker);
+    if (gone == workers_.end()) return;
+    bytes_of_the_gone_ += gone->second->bytes_received();
+    workers_.erase(gone);
     scheduler_.remove_worker(worker);
     relays_.remove_worker(worker);
     std::set<std::string> scenes;
@@ -287,6 +290,12 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
                        .relayed_bytes = worker->relayed_bytes()});
     }
     return out;
+}
+
+std::uint64_t RenderFarm::worker_bytes() const {
+    std::uint64_t bytes = bytes_of_the_gone_;
+    for (const auto& [id, worker] : workers_) bytes += worker->bytes_received();
+    return bytes;
 }
 
 /// Later, so that results that arrive together are answered together.

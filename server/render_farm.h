@@ -92,6 +92,8 @@ public:
     void stop();
 
     std::vector<WorkerStatus> worker_status() const;
+    /// That have come from workers, also from those that left.
+    std::uint64_t worker_bytes() const;
     std::uint32_t frames_in_flight() const { return std::uint32_t(jobs_.size()); }
     std::uint64_t frames_done() const { return frames_done_; }
     asio::any_io_executor strand() const { return strand_; }
@@ -136,6 +138,7 @@ private:
     std::set<std::string> doomed_;  ///< to be dropped once no frame needs them
     std::uint64_t last_frame_ = 0;
     std::uint64_t frames_done_ = 0;
+    std::uint64_t bytes_of_the_gone_ = 0;
     bool pump_is_due_ = false;
     std::shared_ptr<BufferPool> buffers_ = std::make_shared<BufferPool>();
     asio::steady_timer deadline_timer_;

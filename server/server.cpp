@@ -252,7 +252,8 @@ Status Server::status() const {
                .frames_done = farm_.frames_done(),
                .scenes = {},
                .workers = farm_.worker_status(),
-               .memory_bytes = resident_bytes()};
+               .memory_bytes = resident_bytes(),
+               .worker_bytes = farm_.worker_bytes()};
     for (const ScenePtr& scene : scenes_.all())
         out.scenes.push_back({.name = scene->now.name,
                               .version = scene->now.scene->version,

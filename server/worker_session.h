@@ -53,6 +53,7 @@ public:
     const std::string& address() const { return connection_->remote_address(); }
     double round_trip_seconds() const { return round_trip_seconds_; }
     std::uint64_t memory_bytes() const { return memory_bytes_; }
+    std::uint64_t bytes_received() const { return connection_->bytes_received(); }
     /// Where other workers get blobs from it, "host:port"; empty: nowhere.
     const std::string& relay_address() const { return relay_address_; }
     std::uint64_t relayed_bytes() const { return relayed_bytes_; }

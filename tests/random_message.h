@@ -337,7 +337,8 @@ private:
                 .frames_done = big(),
                 .scenes = list<SceneStatus>(),
                 .workers = list<WorkerStatus>(),
-                .memory_bytes = big()};
+                .memory_bytes = big(),
+                .worker_bytes = big()};
     }
     Ping make_one(Ping) { return {.stamp = big()}; }
     Pong make_one(Pong) { return {.stamp = big(), .memory_bytes = big(), .relayed_bytes = big()}; }

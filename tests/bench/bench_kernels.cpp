@@ -75,6 +75,15 @@ void send_and_receive_tiles(benchmark::State& state) {
 }
 BENCHMARK(send_and_receive_tiles)->Arg(1)->Arg(20);
 
+FrameSpec first_view(const SceneBundle& bundle, ImageSize size, std::uint32_t vpls) {
+    FrameSpec spec;
+    spec.frame = 1;
+    spec.size = size;
+    spec.camera = bundle.scene.cameras.at(0);
+    spec.settings.vpls = vpls;
+    return spec;
+}
+
 /// What all pixels' bits add up to, in any order.
 std::uint64_t render_tiles(const Renderer& renderer, const FrameSpec& spec, bool cut) {
     std::uint64_t sum = 0;
@@ -91,11 +100,7 @@ std::uint64_t render_tiles(const Renderer& renderer, const FrameSpec& spec, bool
 void render_a_picture(benchmark::State& state, const char* scene) {
     const SceneBundle bundle = *generate_scene(scene);
     Renderer renderer(bundle.scene, bundle.blobs, {});
-    FrameSpec spec;
-    spec.frame = 1;
-    spec.size = {320, 240};
-    spec.camera = bundle.scene.cameras.at(0);
-    spec.settings.vpls = 8;
+    const FrameSpec spec = first_view(bundle, {320, 240}, 8);
     renderer.begin_frame(spec);
     const std::uint64_t expected = render_tiles(renderer, spec, false);
     std::uint64_t sum = 0;
@@ -111,11 +116,7 @@ BENCHMARK_CAPTURE(render_a_picture, kitchen, "kitchen")->Arg(0)->Arg(1);
 void filter_a_pass(benchmark::State& state, const char* scene) {
     const SceneBundle bundle = *generate_scene(scene);
     Renderer renderer(bundle.scene, bundle.blobs, {});
-    FrameSpec spec;
-    spec.frame = 1;
-    spec.size = {960, 540};
-    spec.camera = bundle.scene.cameras.at(0);
-    spec.settings.vpls = 1;
+    const FrameSpec spec = first_view(bundle, {960, 540}, 1);
     renderer.begin_frame(spec);
     const ChannelSet channels = tile_channels(spec);
     std::vector<float> planes(spec.size.pixels() * std::size_t(floats_per_pixel(channels)));
