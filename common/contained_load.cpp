@@ -4,7 +4,6 @@
 #include <fmt/format.h>
 #include <signal.h>
 #include <spawn.h>
-#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -12,12 +11,10 @@
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
-#include <new>
 #include <utility>
 
 #include "common/check.h"
 #include "common/generator.h"
-#include "common/sandbox.h"
 #include "common/scene_sync.h"
 #include "common/text_reader.h"
 
@@ -25,39 +22,6 @@ extern char** environ;
 
 namespace tessera {
 namespace {
-
-constexpr const char* child_name = "tessera-load";
-
-// ---- The child ----------------------------------------------------------------------------------
-
-void write_all(int out, std::span<const std::byte> bytes) {
-    while (!bytes.empty()) {
-        const ssize_t written = write(out, bytes.data(), bytes.size());
-        if (written < 0) _exit(EXIT_FAILURE);  // nobody listens any more
-        bytes = bytes.subspan(std::size_t(written));
-    }
-}
-
-void say(int out, Message message) {
-    const EncodedMessage encoded = encode(std::move(message));
-    write_all(out, encoded.head);
-    write_all(out, encoded.payload.bytes);
-}
-
-void say(int out, const LoadedScene& loaded) {
-    const Scene& scene = loaded.bundle.scene;
-    say(out, {SceneUpdate{.scene = {}, .delta = diff({}, {.version = 1, .scene = scene})}, {}});
-    for (const BlobId& id : blobs_of(scene))
-        for (Message& chunk : chunks_of(id, loaded.bundle.blobs.find(id)))
-            say(out, std::move(chunk));
-    say(out, {SceneReady{.scene = {}, .version = 1, .modelled = {}, .left_out = loaded.notes}, {}});
-}
-
-LoadedScene load_both(const std::string& file_or_name, const std::string& environment) {
-    LoadedScene loaded = load_scene(file_or_name);
-    if (!environment.empty()) set_environment(loaded.bundle, environment);
-    return loaded;
-}
 
 // ---- The parent ---------------------------------------------------------------------------------
 
@@ -167,46 +131,23 @@ std::optional<LoadedScene> hear_scene(LoadingChild& child, const LoadLimits& lim
     return std::nullopt;
 }
 
-bool is_generated(const std::string& name) {
-    const std::vector<GeneratedScene> known = generated_scenes();
-    return std::any_of(known.begin(), known.end(),
-                       [&](const GeneratedScene& scene) { return scene.name == name; });
-}
-
-bool is_number(const std::string& text) {
-    double number = 0;
-    return parse_number(text, number);
+/// What needs no file.
+std::optional<LoadedScene> generated(const std::string& name, const std::string& environment) {
+    double radiance = 0;
+    if (!environment.empty() && !parse_number(environment, radiance)) return std::nullopt;
+    std::optional<SceneBundle> bundle = generate_scene(name);
+    if (!bundle) return std::nullopt;
+    if (!environment.empty()) bundle->scene.environment.radiance = vec3(float(radiance));
+    return LoadedScene{.bundle = std::move(*bundle), .notes = {}};
 }
 
 }  // namespace
 
-std::optional<int> load_for_parent(int argc, char** argv) {
-    if (argc != 5 || std::strcmp(argv[0], child_name) != 0) return std::nullopt;
-    const LoadLimits limits{.memory_bytes = std::strtoull(argv[3], nullptr, 10),
-                            .seconds = unsigned(std::strtoul(argv[4], nullptr, 10))};
-    prctl(PR_SET_PDEATHSIG, SIGKILL);
-    signal(SIGINT, SIG_IGN);  // Ctrl-C is the parent's to answer
-    bound_resources(limits.memory_bytes, limits.seconds);
-    if (!renounce_network_and_programs())
-        fmt::print(stderr, "{}: the system cannot keep scene files from the network\n", argv[1]);
-    try {
-        say(STDOUT_FILENO, load_both(argv[1], argv[2]));
-    } catch (const std::bad_alloc&) {
-        say(STDOUT_FILENO, {Failure{0, fmt::format("{}: needs more than {} MB of memory to read",
-                                                   argv[1], limits.memory_bytes >> 20)},
-                            {}});
-    } catch (const std::exception& error) {
-        say(STDOUT_FILENO, {Failure{0, error.what()}, {}});
-    }
-    _exit(EXIT_SUCCESS);  // libraries that met a broken file need not tidy up
-}
-
 LoadedScene load_contained(const std::string& file_or_name, const std::string& environment,
                            const LoadLimits& limits, const std::filesystem::path& program) {
-    const bool pure = environment.empty() || is_number(environment);
-    if (pure && is_generated(file_or_name)) return load_both(file_or_name, environment);
+    if (std::optional<LoadedScene> scene = generated(file_or_name, environment)) return *scene;
     LoadingChild child(program,
-                       {child_name, file_or_name, environment, std::to_string(limits.memory_bytes),
+                       {reader_name, file_or_name, environment, std::to_string(limits.memory_bytes),
                         std::to_string(limits.seconds)});
     try {
         if (std::optional<LoadedScene> loaded = hear_scene(child, limits)) return *loaded;

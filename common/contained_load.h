@@ -1,7 +1,8 @@
 // Scene files and pictures are parsed by libraries that meet whatever somebody has written. So a
 // child process parses them: without network and other programs, with bounds on memory and time. It
 // says what it found in messages of the protocol, which the parent checks as those of any peer. A
-// crash ends the child. The child is this same program, started anew by the name `tessera-load`.
+// crash ends the child. The child is the program `tessera-load`, or any other that reads files
+// anyway, started anew by that name.
 //
 //   child -> parent   SceneUpdate, BlobChunk*, SceneReady {left_out: notes}   or   Failure
 #pragma once
@@ -14,6 +15,8 @@
 #include "common/scene_io.h"
 
 namespace tessera {
+
+inline constexpr const char* reader_name = "tessera-load";
 
 struct LoadLimits {
     std::uint64_t memory_bytes = std::uint64_t(16) << 30;  ///< address space; not under ASan

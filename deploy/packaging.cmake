@@ -1,7 +1,7 @@
 # Debian packages, one for each role: `cmake --build build --target package` writes them to build/packages/.
 
 include(GNUInstallDirs)
-install(TARGETS tessera-server DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT server)
+install(TARGETS tessera-server tessera-load DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT server)
 install(TARGETS tessera-worker tessera-bench DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT worker)
 install(TARGETS tessera tessera-sim DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT client)
 install(TARGETS tessera-web DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT web)

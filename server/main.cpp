@@ -37,7 +37,8 @@ void keep_memory() {
 
 void load(Server& server, const std::string& file_or_name, const std::string& name,
           const LoadLimits& limits) {
-    const LoadedScene loaded = load_contained(file_or_name, {}, limits);
+    const auto reader = std::filesystem::read_symlink("/proc/self/exe").parent_path() / reader_name;
+    const LoadedScene loaded = load_contained(file_or_name, {}, limits, reader);
     for (const std::string& note : loaded.notes) spdlog::info("{}: {}", name, note);
     server.add_scene(name, loaded.bundle);
 }
@@ -99,7 +100,6 @@ void add_limits(CLI::App& app, Limits& limits, LoadLimits& load) {
 
 int main(int argc, char** argv) {
     using namespace tessera;
-    if (const std::optional<int> status = load_for_parent(argc, argv)) return *status;
     Options options;
     CLI::App app(
         "Tessera's server: owns scenes and frames, spreads the work over workers.\n"

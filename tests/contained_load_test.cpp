@@ -19,7 +19,7 @@
 namespace tessera {
 namespace {
 
-const std::filesystem::path program = std::filesystem::path(TESSERA_PROGRAMS) / "tessera-server";
+const std::filesystem::path program = std::filesystem::path(TESSERA_PROGRAMS) / reader_name;
 
 LoadedScene load(const std::string& file, const std::string& environment = {}) {
     return load_contained(file, environment, {}, program);
