@@ -115,16 +115,10 @@ pid_t LocalCluster::start_worker(int i) {
     const int threads =
         config_.threads > 0 ? config_.threads : std::max(1, cores / config_.workers);
     const std::string server = config_.route ? config_.route(i, address_) : address_;
-    std::vector<std::string> arguments{"--server",
-                                       server,
-                                       "--threads",
-                                       std::to_string(threads),
-                                       "--name",
-                                       worker_name(i),
-                                       "--log",
-                                       config_.log_level,
-                                       "--exit-with-parent",
-                                       std::to_string(getpid())};
+    const std::string own_pid = std::to_string(getpid());
+    std::vector<std::string> arguments{
+        "--server",     server,  "--threads",       std::to_string(threads), "--name",
+        worker_name(i), "--log", config_.log_level, "--exit-with-parent",    own_pid};
     if (!config_.plugins.empty()) arguments.insert(arguments.end(), {"--plugins", config_.plugins});
     if (!config_.blob_cache.empty())
         arguments.insert(arguments.end(), {"--blob-cache", config_.blob_cache.string()});

@@ -122,12 +122,13 @@ TEST(BlobCache, what_was_not_used_for_longest_goes_first) {
 TEST(BlobCache, what_others_left_in_the_folder_counts_if_it_is_ours) {
     const TempDir folder;
     const Blob blob = blob_of(300, 1);
-    folder.write("notes.txt", std::string(1000, 'x'));
-    folder.write("abc.part", std::string(300, 'x'));  // of a worker that was killed
+    const std::string unfinished = full_name(blob.id) + ".blob.aB3xYz";  // its worker was killed
+    folder.write(unfinished, std::string(300, 'x'));
+    folder.write("film.blob", std::string(1000, 'x'));
     BlobCache cache(folder.file(""), 400);
     EXPECT_TRUE(cache.put(blob.id, blob.bytes));
-    EXPECT_TRUE(fs::exists(folder.file("notes.txt")));
-    EXPECT_FALSE(fs::exists(folder.file("abc.part")));
+    EXPECT_TRUE(fs::exists(folder.file("film.blob")));
+    EXPECT_FALSE(fs::exists(folder.file(unfinished)));
 }
 
 TEST(BlobCache, a_blob_larger_than_the_folder_may_be_is_not_kept) {

@@ -1,7 +1,6 @@
 #include "worker/blob_cache.h"
 
 #include <fcntl.h>
-#include <fmt/format.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -20,10 +19,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Of blobs, and of what is being written, or was when a worker was killed. No other files in the
-/// folder are ours.
-constexpr const char* whole = ".blob";
-constexpr const char* part = ".part";
+constexpr const char* suffix = ".blob";
+
+/// A blob's file, or one that is being written, or was when a worker was killed: it has a second
+/// suffix.
+bool is_ours(const std::string& name) {
+    constexpr std::size_t digits = 64;
+    return name.find_first_not_of("0123456789abcdef") == digits &&
+           name.compare(digits, std::strlen(suffix), suffix) == 0;
+}
 
 std::error_code last_error() { return {errno, std::generic_category()}; }
 
@@ -46,6 +50,29 @@ std::shared_ptr<const Bytes> read_file(const fs::path& path, std::uint64_t most_
     return file ? bytes : nullptr;
 }
 
+/// Writes beside, then renames. Should a power cut leave a file unfinished under its final name, it
+/// has another hash: nothing need wait for the disk here.
+std::error_code write_file(const fs::path& path, std::span<const std::byte> bytes) {
+    std::string beside = path.string() + ".XXXXXX";
+    const int fd = mkostemp(beside.data(), O_CLOEXEC);
+    if (fd < 0) return last_error();
+    std::error_code error;
+    while (!bytes.empty() && !error) {
+        const ssize_t written = ::write(fd, bytes.data(), bytes.size());
+        if (written >= 0)
+            bytes = bytes.subspan(std::size_t(written));
+        else if (errno != EINTR)
+            error = last_error();
+    }
+    if (close(fd) != 0 && !error) error = last_error();
+    if (!error) {
+        mark_used(beside);
+        fs::rename(beside, path, error);
+    }
+    if (error) unlink(beside.c_str());
+    return error;
+}
+
 struct KeptFile {
     fs::file_time_type used;
     std::uint64_t bytes = 0;
@@ -59,8 +86,7 @@ std::vector<KeptFile> kept_files(const fs::path& folder) {
     std::vector<KeptFile> files;
     std::error_code error;
     for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
-        const fs::path extension = it->path().extension();
-        if (extension != whole && extension != part) continue;
+        if (!is_ours(it->path().filename().string())) continue;
         std::error_code gone;
         const KeptFile file{it->last_write_time(gone), it->file_size(gone), it->path()};
         if (!gone) files.push_back(file);
@@ -83,7 +109,7 @@ void BlobCache::warn_of(const std::error_code& error) const {
     spdlog::warn("cannot keep meshes and textures in {}: {}", folder_.string(), error.message());
 }
 
-fs::path BlobCache::path_of(const BlobId& id) const { return folder_ / (full_name(id) + whole); }
+fs::path BlobCache::path_of(const BlobId& id) const { return folder_ / (full_name(id) + suffix); }
 
 std::shared_ptr<const Bytes> BlobCache::find(const BlobId& id) const {
     const fs::path path = path_of(id);
@@ -105,7 +131,7 @@ bool BlobCache::put(const BlobId& id, std::span<const std::byte> bytes) {
     const fs::path path = path_of(id);
     if (bytes.size() > most_bytes_ || mark_used(path)) return true;
     if (bytes.size() > room_) make_room(bytes.size());
-    if (const std::error_code error = write(path, bytes)) {
+    if (const std::error_code error = write_file(path, bytes)) {
         warn_of(error);
         return false;
     }
@@ -126,29 +152,6 @@ void BlobCache::make_room(std::uint64_t bytes) {
         fs::remove(file.path, ignored);
         total -= file.bytes;
     }
-}
-
-/// A file that a power cut leaves unfinished under its final name has another hash, so nothing
-/// waits for the disk here.
-std::error_code BlobCache::write(const fs::path& path, std::span<const std::byte> bytes) const {
-    std::string beside = (folder_ / "XXXXXX").string() + part;
-    const int fd = mkostemps(beside.data(), int(std::strlen(part)), O_CLOEXEC);
-    if (fd < 0) return last_error();
-    std::error_code error;
-    while (!bytes.empty() && !error) {
-        const ssize_t written = ::write(fd, bytes.data(), bytes.size());
-        if (written >= 0)
-            bytes = bytes.subspan(std::size_t(written));
-        else if (errno != EINTR)
-            error = last_error();
-    }
-    if (close(fd) != 0 && !error) error = last_error();
-    if (!error) {
-        mark_used(beside);
-        fs::rename(beside, path, error);
-    }
-    if (error) unlink(beside.c_str());
-    return error;
 }
 
 }  // namespace tessera

@@ -34,8 +34,6 @@ public:
 private:
     std::filesystem::path path_of(const BlobId& id) const;
     void make_room(std::uint64_t bytes);
-    std::error_code write(const std::filesystem::path& path,
-                          std::span<const std::byte> bytes) const;
     void warn_of(const std::error_code& error) const;
 
     std::filesystem::path folder_;

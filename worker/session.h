@@ -34,6 +34,7 @@ struct WorkerPools {
     ThreadPool frames;  ///< one thread: begins and ends frames in order
     ThreadPool reads;   ///< one thread: finds blobs on disk
     ThreadPool writes;  ///< one thread: puts blobs there
+
     explicit WorkerPools(unsigned render_threads);
     ~WorkerPools() { ending = true; }
 };
