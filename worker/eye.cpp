@@ -1,5 +1,7 @@
 #include "worker/eye.h"
 
+#include <bit>
+
 namespace tessera {
 namespace {
 
@@ -11,10 +13,8 @@ struct EyePath {
     Sampler sampler;
 };
 
-/// Rays through a rim pixel beside its own.
-constexpr std::uint32_t rim_rays = 15;
-/// Visible difference in emission that makes a rim.
-constexpr float rim_contrast = 1.0f / 16;
+/// Difference in emission that makes a rim.
+constexpr float visible = 1.0f / 16;
 
 std::uint32_t surface_id(const World& world, const Hit& hit, std::uint32_t mirrors) {
     const std::uint32_t object = world.surfaces.object_of(hit.instance);
@@ -95,24 +95,34 @@ bool has_rims(std::span<const PixelSample> pixels) {
         lo = glm::min(lo, seen);
         hi = glm::max(hi, seen);
     }
-    return max_component(hi - lo) > rim_contrast;
+    return max_component(hi - lo) > visible;
 }
 
-/// Whether the neighbours of a pixel see lamps beside other things. The pixel's own ray has no say:
-/// that would favour what it happened to find.
-bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint32_t pixel) {
+/// By how much the radiance differs that the neighbours of a pixel see, some of lamps; 0 where none
+/// of it shows. The pixel's own ray has no say: that would favour what it happened to find.
+float contrast_around(const TilePass& tile, std::span<const PixelSample> pixels,
+                      std::uint32_t pixel) {
     const int width = tile.rect.width();
     const int x = int(pixel) % width, y = int(pixel) / width;
-    vec3 lo(1), hi(0);
+    vec3 lo(infinity), hi(0);
     for (int v = std::max(y - 1, 0); v <= std::min(y + 1, tile.rect.height() - 1); ++v) {
         for (int u = std::max(x - 1, 0); u <= std::min(x + 1, width - 1); ++u) {
             if (u == x && v == y) continue;
-            const vec3 seen = glm::clamp(pixels[std::size_t(v * width + u)].emitted, 0.0f, 1.0f);
+            const vec3& seen = pixels[std::size_t(v * width + u)].emitted;
             lo = glm::min(lo, seen);
             hi = glm::max(hi, seen);
         }
     }
-    return max_component(hi - lo) > rim_contrast;
+    const vec3 shown = glm::min(hi, 1.0f) - glm::min(lo, 1.0f);
+    return max_component(shown) > visible ? max_component(hi - lo) : 0;
+}
+
+/// More rays through a pixel at such a rim: a power of two that makes what one of all passes
+/// decides invisible, within bounds.
+std::uint32_t rays_at_rim(float contrast, std::uint32_t passes) {
+    constexpr float least = 16, most = 64;
+    const float wanted = contrast / (visible * float(passes));
+    return std::bit_floor(std::uint32_t(std::clamp(wanted, least, most)));
 }
 
 /// Sends more rays through the rims of lamps, where one ray finds all of a great radiance or
@@ -120,16 +130,18 @@ bool at_rim(const TilePass& tile, std::span<const PixelSample> pixels, std::uint
 std::uint64_t refine_rims(const World& world, const Pinhole& camera, const TilePass& tile,
                           std::span<PixelSample> pixels) {
     if (!has_rims(pixels)) return 0;
-    std::vector<std::uint32_t> rims;
-    for (std::uint32_t i = 0; i < pixels.size(); ++i)
-        if (at_rim(tile, pixels, i)) rims.push_back(i);
+    std::vector<float> contrasts;
+    for (std::uint32_t pixel = 0; pixel < pixels.size(); ++pixel)
+        contrasts.push_back(contrast_around(tile, pixels, pixel));
     std::vector<EyePath> paths;
     std::vector<Ray> rays;
-    constexpr float share = 1.0f / (rim_rays + 1);
-    for (const std::uint32_t pixel : rims) {
+    for (std::uint32_t pixel = 0; pixel < pixels.size(); ++pixel) {
+        if (!(contrasts[pixel] > 0)) continue;
+        const std::uint32_t count = rays_at_rim(contrasts[pixel], tile.passes);
+        const float share = 1 / float(count + 1);
         pixels[pixel].emitted *= share;
-        for (std::uint32_t k = 0; k < rim_rays; ++k) {
-            const Sampler sampler = tile.own_sampler(pixel, 4, tile.pass * rim_rays + k);
+        for (std::uint32_t k = 0; k < count; ++k) {
+            const Sampler sampler = tile.own_sampler(pixel, 4, tile.pass * count + k);
             paths.push_back({.pixel = pixel, .throughput = vec3(share), .sampler = sampler});
             rays.push_back(camera.ray(vec2(tile.raster(pixel)) + paths.back().sampler.next()));
         }

@@ -52,6 +52,7 @@ struct TilePass {
     Rect rect;
     std::uint32_t pass = 0;
     std::uint32_t seed = 0;
+    std::uint32_t passes = 1;  ///< of the frame, at most
 
     ivec2 raster(std::uint32_t pixel) const {
         const auto width = std::uint32_t(rect.width());
@@ -93,7 +94,8 @@ enum class Carries : std::uint8_t { radiance, flux };
 bool pass_delta(const SurfacePoint& s, Carries what, Sampler& sampler, vec3& carried, Ray& ray);
 
 /// Traces the tile's eye rays: fills all of `pixels` but `direct` and `indirect`, and lists the
-/// receivers, those of neighbouring pixels near each other. Returns the number of rays traced.
+/// receivers, those of neighbouring pixels near each other. Whether a pixel is at the rim of a lamp
+/// its neighbours tell, as far as they are in the tile's rect. Returns the number of rays traced.
 std::uint64_t trace_eye_rays(const World& world, const Pinhole& camera, const TilePass& tile,
                              std::span<PixelSample> pixels, std::vector<Receiver>& receivers);
 

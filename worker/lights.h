@@ -51,6 +51,7 @@ public:
     /// Whether the scene is black.
     bool empty() const { return choice_.empty(); }
     std::size_t triangle_count() const { return triangles_.size(); }
+    const WorldTriangle& triangle(std::size_t index) const { return triangles_[index].shape; }
     /// Triangles, punctual lights and the sky.
     std::size_t size() const {
         return triangles_.size() + punctual_.size() + (sky_->empty() ? 0 : 1);

@@ -71,6 +71,31 @@ std::shared_ptr<const Lights> lights_of(const FrameSpec& spec, const Surfaces& s
     return std::make_shared<const Lights>(lights.tracked(estimates));
 }
 
+/// Of each tile, whether lamps may be seen in it or beside it, straight from the eye.
+std::vector<bool> tiles_at_lamps(const FrameSpec& spec, const Pinhole& camera,
+                                 const Lights& lights) {
+    std::vector<bool> out(tile_count(spec.size));
+    const auto tile_at = [](float raster, int border, int pixels) {
+        return int(std::clamp(raster + float(border), 0.0f, float(pixels - 1))) / tile_size;
+    };
+    for (std::size_t i = 0; i < lights.triangle_count(); ++i) {
+        const WorldTriangle& lamp = lights.triangle(i);
+        vec2 lo(infinity), hi(-infinity);
+        for (const vec3& p : {lamp.p0, lamp.p1, lamp.p2}) {
+            const std::optional<vec2> at = camera.raster(p);
+            lo = at ? glm::min(lo, *at) : vec2(-infinity);
+            hi = at ? glm::max(hi, *at) : vec2(infinity);
+        }
+        const auto [width, height] = spec.size;
+        if (!(hi.x > -1 && hi.y > -1 && lo.x < float(width) + 1 && lo.y < float(height) + 1))
+            continue;
+        for (int y = tile_at(lo.y, -1, height); y <= tile_at(hi.y, 1, height); ++y)
+            for (int x = tile_at(lo.x, -1, width); x <= tile_at(hi.x, 1, width); ++x)
+                out[std::size_t(y) * tiles_across(spec.size) + std::size_t(x)] = true;
+    }
+    return out;
+}
+
 bool holds(const Rect& rect, const ivec2& pixel) {
     return pixel.x >= rect.x0 && pixel.x < rect.x1 && pixel.y >= rect.y0 && pixel.y < rect.y1;
 }
@@ -86,6 +111,7 @@ public:
           world_{surfaces, *lights_, *tracer_,
                  spec.settings.integrator == Integrator::path ? Lobes::all : Lobes::broad},
           camera_(spec.camera, spec.size),
+          at_lamps_(tiles_at_lamps(spec, camera_, lights)),
           vpl_config_(vpl_config(spec.settings, surfaces.bounds())),
           has_rest_(has_rest),
           caustics_(caustics),
@@ -100,6 +126,15 @@ public:
 
     /// The lights to choose from.
     const Lights& lights() const { return *lights_; }
+
+    /// `part` of a tile, with the pixels around it that trace_eye_rays() asks about rims: beyond
+    /// the tile's border only where it matters most.
+    Rect with_neighbours(const Rect& part, std::uint32_t tile) const {
+        const Rect within = at_lamps_[tile] ? Rect{0, 0, spec_.size.width, spec_.size.height}
+                                            : tile_rect(spec_.size, tile);
+        return {std::max(part.x0 - 1, within.x0), std::max(part.y0 - 1, within.y0),
+                std::min(part.x1 + 1, within.x1), std::min(part.y1 + 1, within.y1)};
+    }
 
     /// One pass of one tile, of which the pixels in `wanted` get their light; returns the number of
     /// rays traced. Adds what each light sends to `tally`, unless it is null.
@@ -169,6 +204,7 @@ private:
     std::shared_ptr<const Lights> lights_;
     World world_;
     Pinhole camera_;
+    std::vector<bool> at_lamps_;  ///< by tile
     VplConfig vpl_config_;
     bool has_rest_;
     const Caustics& caustics_;
@@ -177,12 +213,6 @@ private:
     std::mutex mutex_;
     std::map<std::uint32_t, std::shared_ptr<PassLight>> passes_;
 };
-
-/// A part of `tile` with the pixels around it that trace_eye_rays() asks about rims.
-Rect with_neighbours(const Rect& part, const Rect& tile) {
-    return {std::max(part.x0 - 1, tile.x0), std::max(part.y0 - 1, tile.y0),
-            std::min(part.x1 + 1, tile.x1), std::min(part.y1 + 1, tile.y1)};
-}
 
 /// Leaves those of `rect` that are in `part`.
 void crop(std::vector<PixelSample>& samples, const Rect& rect, const Rect& part) {
@@ -360,7 +390,7 @@ std::optional<TileResult> Renderer::render(const TileTask& task) const {
     const FrameSpec& spec = frame->spec();
     CHECK(task.tile < tile_count(spec.size));
     const Rect part = rect_of(spec.size, task);
-    const Rect rect = with_neighbours(part, tile_rect(spec.size, task.tile));
+    const Rect rect = frame->with_neighbours(part, task.tile);
     TileResult result;
     result.task = task;
     result.data.resize(part.pixels() * std::size_t(floats_per_pixel(tile_channels(spec))));
@@ -369,9 +399,9 @@ std::optional<TileResult> Renderer::render(const TileTask& task) const {
     if (frame->lights().is_tracked()) tally.emplace(frame->lights().size(), rect);
     for (std::uint32_t i = 0; i < task.pass_count; ++i) {
         samples.assign(rect.pixels(), {});
-        result.rays +=
-            frame->trace({spec.size, rect, task.first_pass + i, hash(spec.settings.seed, 1)}, part,
-                         samples, tally ? &*tally : nullptr);
+        result.rays += frame->trace({spec.size, rect, task.first_pass + i,
+                                     hash(spec.settings.seed, 1), spec.settings.passes},
+                                    part, samples, tally ? &*tally : nullptr);
         crop(samples, rect, part);
         add_pass(spec, samples, i == 0, result);
     }
