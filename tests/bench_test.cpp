@@ -7,6 +7,7 @@
 
 #include "worker/bench/build_bench.h"
 #include "worker/bench/embree_query.h"
+#include "worker/bench/light_stability.h"
 #include "worker/bench/stability_bench.h"
 #include "worker/bench/trace_bench.h"
 #include "worker/bench/tracer_scenes.h"
@@ -51,6 +52,15 @@ TEST(Bench, NothingIsWrongOnHardCases) {
     for (const nlohmann::json& r : results) {
         EXPECT_EQ(r["tried"], 2000);
         EXPECT_EQ(r["wrong"], 0) << r["case"];
+    }
+}
+
+TEST(Bench, LightIsFiniteOnHardCases) {
+    const nlohmann::json results = bench_light_stability({.passes = 1});
+    EXPECT_GT(results.size(), 15u);
+    for (const nlohmann::json& r : results) {
+        EXPECT_EQ(r["not_finite"], 0) << r["case"];
+        EXPECT_EQ(r["sanitised"], 0) << r["case"];
     }
 }
 

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/camera.h"
 
 namespace tessera {

@@ -4,7 +4,7 @@
 #include <glm/gtc/matrix_transform.hpp>
 #include <map>
 
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/texture.h"
 
 namespace tessera {
@@ -45,25 +45,6 @@ void add_light(SceneBundle& bundle, LightKind kind, const vec3& position, const 
     light.direction = direction;
     light.intensity = intensity;
     bundle.scene.lights.push_back(light);
-}
-
-/// A lit room with a coat on its walls and a ball of `ball` in the middle of the picture.
-SceneBundle room_with_ball(const Material& walls, const Material& ball) {
-    SceneBundle bundle;
-    add_shape(bundle, room(vec3(-1), vec3(1)), walls);
-    add_shape(bundle, square(0.5f, 0.99f, false), emitter(vec3(5)));
-    MeshBuilder builder;
-    builder.ball({-0.4f, -0.4f, -0.4f}, 0.4f, 32);
-    add_shape(bundle, builder.take(), ball);
-    return bundle;
-}
-
-Camera at_ball() {
-    Camera camera;
-    camera.eye = {0.5f, 0.3f, 0.6f};
-    camera.at = {-0.4f, -0.4f, -0.4f};
-    camera.fov_y = 60;
-    return camera;
 }
 
 Material coated(const vec3& colour, float roughness, float metallic = 0) {
@@ -145,6 +126,25 @@ TEST_P(LightTransport, RimsOfLampsHoldTheirMean) {
     Camera camera = from_above();
     camera.fov_y = 90;
     expect_near(look(bundle, camera, 256), vec3(9 * 0.31f * 0.31f), 0.01f);
+}
+
+TEST_P(LightTransport, RimsOfLampsAreAsSmoothAtBordersOfTiles) {
+    // The lamp reaches over 0.3 of the first pixels of the tiles around the one in the middle.
+    constexpr int side = 3 * tile_size;
+    constexpr float reach = 0.5f * tile_size + 0.3f;
+    SceneBundle bundle;
+    add_shape(bundle, square(2 * reach / side, 0), emitter(vec3(9)));
+    Camera camera = from_above();
+    camera.fov_y = 90;
+    const FrameSpec spec = frame_of(GetParam(), {side, side}, camera, 1);
+    Renderer renderer(bundle.scene, bundle.blobs, {});
+    const std::vector<TileResult> tiles = render_all(renderer, spec);
+    for (const std::size_t tile : {1u, 3u, 5u, 7u})
+        for (int i = 1; i < tile_size - 1; ++i) {
+            const int border = tile < 4 ? tile_size - 1 : 0;
+            const int pixel = tile % 3 == 1 ? border * tile_size + i : i * tile_size + border;
+            EXPECT_NEAR(tiles[tile].data[std::size_t(3 * pixel)], 9 * 0.3f, 0.5f) << tile;
+        }
 }
 
 TEST_P(LightTransport, CeilingBesideALampThatHangsCloseBelow) {
@@ -527,34 +527,6 @@ INSTANTIATE_TEST_SUITE_P(Both, LightTransport, testing::Values(Integrator::path,
                          [](const auto& i) { return i.param == Integrator::igi ? "igi" : "path"; });
 
 // ---- Many lights --------------------------------------------------------------------------------
-
-/// Two rooms of 2 m with 40 lamps each under their ceilings, and a slit of that width between them.
-SceneBundle two_rooms(float slit, bool lit_here = true) {
-    SceneBundle bundle;
-    MeshBuilder walls;
-    walls.box({-1.05f, -1, -1}, {-0.95f, 1, -0.5f * slit});
-    walls.box({-1.05f, -1, 0.5f * slit}, {-0.95f, 1, 1});
-    add_shape(bundle, walls.take(), lambert(vec3(0.6f)));
-    add_shape(bundle, room({-3.05f, -1, -1}, {1.05f, 1, 1}), lambert(vec3(0.6f, 0.5f, 0.4f)));
-    for (int i = 0; i < 40; ++i) {
-        mat4 place(1);
-        place[3] = vec4(-0.8f + 0.2f * float(i % 8), 0.9f, -0.8f + 0.4f * float(i / 8), 1);
-        const Material glow = emitter(vec3(1 + float(i % 3), 2, 3));
-        if (lit_here) add_shape(bundle, square(0.05f, 0, false), glow, place);
-        place[3].x -= 2.1f;
-        add_shape(bundle, square(0.05f, 0, false), glow, place);
-    }
-    return bundle;
-}
-
-/// In the room to the right: of its floor and walls, none of its lamps.
-Camera in_right_room() {
-    Camera camera;
-    camera.eye = {0.9f, 0.2f, 0.9f};
-    camera.at = {-0.3f, -0.9f, -0.4f};
-    camera.fov_y = 70;
-    return camera;
-}
 
 FrameSpec tracked_frame(std::uint32_t passes, std::uint32_t seed = 0) {
     FrameSpec spec = frame_of(Integrator::igi, {32, 32}, in_right_room(), passes);

@@ -10,7 +10,8 @@
 #include <thread>
 
 #include "common/generator.h"
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
+#include "worker/camera.h"
 
 namespace tessera {
 namespace {
@@ -190,6 +191,25 @@ TEST(Renderer, BothIntegratorsHaveTheSameMean) {
     spec.frame = 2;
     const vec3 igi = mean_radiance(spec, render_all(renderer, spec));
     for (int c = 0; c < 3; ++c) EXPECT_NEAR(igi[c], path[c], 0.01f * path[c]);
+}
+
+TEST(Pinhole, FindsWhereARayOfAPixelGoes) {
+    Camera camera;
+    camera.eye = {1, 2, 3};
+    camera.at = {-2, 1, 0.5f};
+    camera.up = {0, 1, 0.2f};
+    camera.fov_y = 70;
+    const Pinhole pinhole(camera, {64, 40});
+    std::mt19937 random(1);
+    std::uniform_real_distribution<float> number(-20, 80);
+    for (int i = 0; i < 100; ++i) {
+        const vec2 raster(number(random), number(random));
+        const Ray ray = pinhole.ray(raster);
+        const auto seen = pinhole.raster(ray.org + 5.0f * ray.dir);
+        ASSERT_TRUE(seen);
+        EXPECT_NEAR(length(*seen - raster), 0, 1e-3f);
+        EXPECT_FALSE(pinhole.raster(ray.org - 5.0f * ray.dir));
+    }
 }
 
 TEST(Renderer, KnowsOnlyFramesBetweenBeginAndEnd) {

@@ -11,7 +11,7 @@
 #include <memory>
 #include <random>
 
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/bsdf.h"
 #include "worker/lights.h"
 #include "worker/sample_table.h"

@@ -9,7 +9,7 @@
 
 #include "common/generator.h"
 #include "common/scene_edit.h"
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/tracer.h"
 
 namespace tessera {

@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "tests/render_fixture.h"
+#include "worker/bench/render_fixture.h"
 #include "worker/solid_texture.h"
 #include "worker/surface.h"
 

@@ -9,6 +9,7 @@
 
 #include "common/check.h"
 #include "worker/bench/build_bench.h"
+#include "worker/bench/light_stability.h"
 #include "worker/bench/shading_bench.h"
 #include "worker/bench/stability_bench.h"
 #include "worker/bench/trace_bench.h"
@@ -94,16 +95,19 @@ void add_shading(CLI::App& app, Options& options) {
 
 void add_stability(CLI::App& app, Options& options) {
     CLI::App* command = add_benchmark(app, options, "stability",
-                                      "Wrong answers on hard cases, ours beside Embree's");
+                                      "Wrong answers on hard cases, ours beside Embree's, and "
+                                      "wrong light");
     command->add_option("--rays", options.rays, "rays of each case")
         ->check(CLI::Range(std::uint64_t(100), std::uint64_t(1) << 40))
         ->capture_default_str();
     command->add_flag("--long", options.long_run,
                       "100 million rays at shared edges and vertices: minutes a row");
     command->callback([&options] {
-        write_json(options.json,
-                   bench_stability({.rays = options.rays,
-                                    .edge_rays = options.long_run ? 100'000'000 : options.rays}));
+        nlohmann::json results = bench_stability(
+            {.rays = options.rays, .edge_rays = options.long_run ? 100'000'000 : options.rays});
+        const nlohmann::json light = bench_light_stability({});
+        results.insert(results.end(), light.begin(), light.end());
+        write_json(options.json, results);
     });
 }
 

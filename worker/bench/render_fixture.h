@@ -1,4 +1,4 @@
-// Small scenes and whole pictures for tests of light transport.
+// Small scenes and whole pictures for benchmarks and tests of light transport.
 #pragma once
 
 #include <string>
@@ -48,6 +48,53 @@ inline Mesh room(const vec3& lo, const vec3& hi) {
     for (uvec3& t : mesh.triangles) std::swap(t.y, t.z);
     mesh.normals.clear();
     return mesh;
+}
+
+/// A lit room with a coat on its walls and a ball of `ball` in the middle of the picture.
+inline SceneBundle room_with_ball(const Material& walls, const Material& ball) {
+    SceneBundle bundle;
+    add_shape(bundle, room(vec3(-1), vec3(1)), walls);
+    add_shape(bundle, square(0.5f, 0.99f, false), emitter(vec3(5)));
+    MeshBuilder builder;
+    builder.ball({-0.4f, -0.4f, -0.4f}, 0.4f, 32);
+    add_shape(bundle, builder.take(), ball);
+    return bundle;
+}
+
+inline Camera at_ball() {
+    Camera camera;
+    camera.eye = {0.5f, 0.3f, 0.6f};
+    camera.at = {-0.4f, -0.4f, -0.4f};
+    camera.fov_y = 60;
+    return camera;
+}
+
+/// Two rooms of 2 m with 40 lamps each under their ceilings, and a slit of that width between them.
+inline SceneBundle two_rooms(float slit, bool lit_here = true) {
+    SceneBundle bundle;
+    MeshBuilder walls;
+    walls.box({-1.05f, -1, -1}, {-0.95f, 1, -0.5f * slit});
+    walls.box({-1.05f, -1, 0.5f * slit}, {-0.95f, 1, 1});
+    add_shape(bundle, walls.take(), lambert(vec3(0.6f)));
+    add_shape(bundle, room({-3.05f, -1, -1}, {1.05f, 1, 1}), lambert(vec3(0.6f, 0.5f, 0.4f)));
+    for (int i = 0; i < 40; ++i) {
+        mat4 place(1);
+        place[3] = vec4(-0.8f + 0.2f * float(i % 8), 0.9f, -0.8f + 0.4f * float(i / 8), 1);
+        const Material glow = emitter(vec3(1 + float(i % 3), 2, 3));
+        if (lit_here) add_shape(bundle, square(0.05f, 0, false), glow, place);
+        place[3].x -= 2.1f;
+        add_shape(bundle, square(0.05f, 0, false), glow, place);
+    }
+    return bundle;
+}
+
+/// In the room to the right: of its floor and walls, none of its lamps.
+inline Camera in_right_room() {
+    Camera camera;
+    camera.eye = {0.9f, 0.2f, 0.9f};
+    camera.at = {-0.3f, -0.9f, -0.4f};
+    camera.fov_y = 70;
+    return camera;
 }
 
 inline FrameSpec frame_of(Integrator integrator, ImageSize size, const Camera& camera,
