@@ -108,6 +108,7 @@ TEST(Cluster, same_bits_from_workers_that_get_meshes_from_one_another) {
     Cluster cluster({.workers = 3, .threads = 1, .relays = "on", .programs = TESSERA_PROGRAMS});
     cluster.wait_for([](const Status& status) { return status.workers.size() == 3; });
     EXPECT_EQ(render(cluster, office(), request), expected);
+    // One of them gets everything from the server, and the others from those before them.
     std::uint64_t relayed = 0;
     cluster.wait_for([&](const Status& status) {
         std::uint64_t sent = relayed = 0;
@@ -115,7 +116,7 @@ TEST(Cluster, same_bits_from_workers_that_get_meshes_from_one_another) {
             sent += worker.sent_bytes;
             relayed += worker.relayed_bytes;
         }
-        return sent + relayed > 3 * office().blobs.bytes();
+        return relayed > 0 || sent > 3 * office().blobs.bytes();
     });
     if (relayed == 0) GTEST_SKIP() << "no worker let another one in within two seconds";
 }
