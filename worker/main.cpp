@@ -68,7 +68,6 @@ void declare(CLI::App& app, Options& options) {
                    "Most bytes there; those not used for longest go first")
         ->transform(CLI::AsSizeValue(false))
         ->check(CLI::PositiveNumber)
-        ->type_name("SIZE")
         ->default_str("4G");
     app.add_option("--plugins", options.plugins,
                    "Folder of shader plug-ins: shared objects that define what "
