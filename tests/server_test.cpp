@@ -922,7 +922,7 @@ asio::awaitable<Bytes> save(std::shared_ptr<Connection> viewer, std::uint64_t re
 
 TEST(Server, a_frame_goes_on_elsewhere_to_the_same_bits) {
     FrameRequest request = small_request();
-    request.spec.settings.passes = 400;
+    request.spec.settings.passes = 40;
     Bytes sums;
     Host first, second;
     first.run([&]() -> asio::awaitable<void> {
