@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <csignal>
 #include <cstdlib>
+#include <limits>
 #include <thread>
 
 #include "common/check.h"
@@ -67,7 +68,7 @@ void declare(CLI::App& app, Options& options) {
     app.add_option("--blob-cache-size", options.blob_cache_size,
                    "Most bytes there; those not used for longest go first")
         ->transform(CLI::AsSizeValue(false))
-        ->check(CLI::PositiveNumber)
+        ->check(CLI::Range(std::uint64_t(1), std::numeric_limits<std::uint64_t>::max()))
         ->default_str("4G");
     app.add_option("--plugins", options.plugins,
                    "Folder of shader plug-ins: shared objects that define what "
