@@ -35,6 +35,8 @@ std::filesystem::path find_program(std::filesystem::path folder, const std::stri
     return folder / program;
 }
 
+std::string worker_name(int i) { return fmt::format("worker-{}", i + 1); }
+
 std::vector<char*> pointers(std::vector<std::string>& strings) {
     std::vector<char*> out;
     for (std::string& s : strings) out.push_back(s.data());
@@ -91,24 +93,12 @@ std::string read_line(int fd, Clock::time_point deadline) {
 
 LocalCluster::LocalCluster(const LocalClusterConfig& config)
     : config_(config), token_(random_token()), address_("127.0.0.1:0") {
-    const std::string own_pid = std::to_string(getpid());
     children_.push_back({.pid = 0, .name = "server", .server = true, .ended = {}});
     start_server();
 
-    const int cores = std::max(1, int(std::thread::hardware_concurrency()));
-    const int threads = config.threads > 0 ? config.threads : std::max(1, cores / config.workers);
-    for (int i = 0; i < config.workers; ++i) {
-        const std::string name = fmt::format("worker-{}", i + 1);
-        const std::string server = config.route ? config.route(i, address_) : address_;
-        std::vector<std::string> arguments{
-            "--server", server,  "--threads",      std::to_string(threads), "--name",
-            name,       "--log", config.log_level, "--exit-with-parent",    own_pid};
-        if (!config.plugins.empty())
-            arguments.insert(arguments.end(), {"--plugins", config.plugins});
-        const pid_t pid =
-            spawn("tessera-worker", with_keys(std::move(arguments), "worker"), STDERR_FILENO);
-        children_.push_back({.pid = pid, .name = name, .server = false, .ended = {}});
-    }
+    for (int i = 0; i < config.workers; ++i)
+        children_.push_back(
+            {.pid = start_worker(i), .name = worker_name(i), .server = false, .ended = {}});
 }
 
 LocalCluster::~LocalCluster() { stop(); }
@@ -120,10 +110,33 @@ std::vector<std::string> LocalCluster::with_keys(std::vector<std::string> argume
     return arguments;
 }
 
+pid_t LocalCluster::start_worker(int i) {
+    const int cores = std::max(1, int(std::thread::hardware_concurrency()));
+    const int threads =
+        config_.threads > 0 ? config_.threads : std::max(1, cores / config_.workers);
+    const std::string server = config_.route ? config_.route(i, address_) : address_;
+    const std::string own_pid = std::to_string(getpid());
+    std::vector<std::string> arguments{
+        "--server",     server,  "--threads",       std::to_string(threads), "--name",
+        worker_name(i), "--log", config_.log_level, "--exit-with-parent",    own_pid};
+    if (!config_.plugins.empty()) arguments.insert(arguments.end(), {"--plugins", config_.plugins});
+    if (!config_.blob_cache.empty())
+        arguments.insert(arguments.end(), {"--blob-cache", config_.blob_cache.string()});
+    return spawn("tessera-worker", with_keys(std::move(arguments), "worker"), STDERR_FILENO);
+}
+
+void LocalCluster::restart_worker(int i) {
+    Child& worker = children_.at(std::size_t(i) + 1);
+    end(worker);
+    worker.pid = start_worker(i);
+    worker.ended.reset();
+}
+
 void LocalCluster::start_server() {
     std::vector<std::string> arguments = config_.scenes;
-    arguments.insert(arguments.end(), {"--listen", address_, "--log", config_.log_level,
-                                       "--exit-with-parent", std::to_string(getpid())});
+    arguments.insert(arguments.end(),
+                     {"--listen", address_, "--log", config_.log_level, "--relays", config_.relays,
+                      "--exit-with-parent", std::to_string(getpid())});
     if (!config_.journal.empty())
         arguments.insert(arguments.end(), {"--journal", config_.journal.string()});
     if (!config_.trace.empty()) arguments.insert(arguments.end(), {"--trace", config_.trace});
@@ -143,12 +156,14 @@ void LocalCluster::start_server() {
     address_ = line.substr(greeting.size());
 }
 
-void LocalCluster::kill_server() {
-    Child& server = children_.front();
-    kill(server.pid, SIGKILL);
+void LocalCluster::kill_server() { end(children_.front()); }
+
+void LocalCluster::end(Child& child) {
+    if (child.ended) return;
+    kill(child.pid, SIGKILL);
     int status = 0;
-    waitpid(server.pid, &status, 0);
-    server.ended = status;
+    waitpid(child.pid, &status, 0);
+    child.ended = status;
 }
 
 Credentials LocalCluster::credentials_of(const char* role) const {

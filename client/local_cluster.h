@@ -18,7 +18,9 @@ namespace tessera {
 struct LocalClusterConfig {
     int workers = 1;
     int threads = 0;  ///< render threads of each worker; 0: this machine's cores shared out
-    std::string plugins = {};  ///< folder of the workers' shader plug-ins; empty: none
+    std::string relays = "auto";            ///< of the server, --relays
+    std::filesystem::path blob_cache = {};  ///< folder that the workers share; empty: none
+    std::string plugins = {};               ///< folder of the workers' shader plug-ins; empty: none
     std::string log_level = "warning";
     std::string trace = {};  ///< file for the timeline of the last frame; empty: none
     /// Where worker i, from 0, is to find the server at the given address; empty: there.
@@ -45,6 +47,8 @@ public:
 
     /// Worker processes, for tests that hurt them.
     std::vector<pid_t> workers() const;
+    /// Ends worker i, from 0, with SIGKILL, and starts it again.
+    void restart_worker(int i);
     /// The server's process, to be watched.
     pid_t server() const { return children_.front().pid; }
 
@@ -67,6 +71,8 @@ private:
     std::vector<std::string> with_keys(std::vector<std::string> arguments, const char* role) const;
     pid_t spawn(const std::string& program, const std::vector<std::string>& arguments,
                 int stdout_fd);
+    pid_t start_worker(int i);
+    void end(Child& child);
     void reap();
     void stop();
 

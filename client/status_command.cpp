@@ -49,7 +49,8 @@ void print_json(const Status& status) {
                                    {"memory_bytes", worker.memory_bytes},
                                    {"overdue", worker.overdue},
                                    {"busy_seconds", worker.busy_seconds},
-                                   {"relayed_bytes", worker.relayed_bytes}});
+                                   {"relayed_bytes", worker.relayed_bytes},
+                                   {"sent_bytes", worker.sent_bytes}});
     fmt::print("{}\n", json.dump(2));
 }
 
@@ -75,21 +76,21 @@ void print_table(const Status& status, const Status* before) {
         fmt::print("no workers: start `tessera-worker --server HOST:PORT`\n");
         return;
     }
-    fmt::print("{:<24} {:<21} {:>7} {:>6} {:>9} {:>9} {:>8} {:>8} {:>12} {:>8} {:>10}\n", "worker",
-               "address", "threads", "busy", "tiles/s", "Mrays/s", "tile ms", "trip ms",
-               "leases/most", "MB", "relayed MB");
+    fmt::print("{:<24} {:<21} {:>7} {:>6} {:>9} {:>9} {:>8} {:>8} {:>12} {:>8} {:>8} {:>10}\n",
+               "worker", "address", "threads", "busy", "tiles/s", "Mrays/s", "tile ms", "trip ms",
+               "leases/most", "MB", "sent MB", "relayed MB");
     for (const WorkerStatus& worker : status.workers) {
         const WorkerStatus earlier = before ? find_worker(*before, worker.peer) : WorkerStatus{};
         fmt::print(
             "{:<24} {:<21} {:>7} {:>5.0f}% {:>9.1f} {:>9.2f} {:>8.2f} {:>8.2f} {:>12} {:>8.0f} "
-            "{:>10.1f}{}\n",
+            "{:>8.1f} {:>10.1f}{}\n",
             worker.name, worker.address, worker.threads,
             100 * (worker.busy_seconds - earlier.busy_seconds) / (seconds * worker.threads),
             double(worker.tiles - earlier.tiles) / seconds,
             1e-6 * double(worker.rays - earlier.rays) / seconds, 1e3 * worker.task_seconds,
             1e3 * worker.round_trip_seconds, fmt::format("{}/{}", worker.leases, worker.prefetch),
-            double(worker.memory_bytes) / 1e6, double(worker.relayed_bytes) / 1e6,
-            worker.overdue ? "  overdue" : "");
+            double(worker.memory_bytes) / 1e6, double(worker.sent_bytes) / 1e6,
+            double(worker.relayed_bytes) / 1e6, worker.overdue ? "  overdue" : "");
     }
 }
 

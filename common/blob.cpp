@@ -13,20 +13,26 @@ BlobId blob_id(std::span<const std::byte> bytes) {
     return id;
 }
 
-std::string short_name(const BlobId& id) {
+std::string full_name(const BlobId& id) {
     static constexpr char digits[] = "0123456789abcdef";
     std::string out;
-    for (int i = 0; i < 6; ++i) {
-        out += digits[id.digest[i] >> 4];
-        out += digits[id.digest[i] & 15];
+    for (const std::uint8_t byte : id.digest) {
+        out += digits[byte >> 4];
+        out += digits[byte & 15];
     }
     return out;
 }
+
+std::string short_name(const BlobId& id) { return full_name(id).substr(0, 12); }
 
 BlobId BlobStore::insert(Bytes bytes) {
     const BlobId id = blob_id(bytes);
     blobs_.try_emplace(id, std::make_shared<const Bytes>(std::move(bytes)));
     return id;
+}
+
+void BlobStore::insert(const BlobId& id, std::shared_ptr<const Bytes> blob) {
+    blobs_.try_emplace(id, std::move(blob));
 }
 
 std::shared_ptr<const Bytes> BlobStore::find(const BlobId& id) const {

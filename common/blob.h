@@ -25,7 +25,10 @@ struct BlobId {
 
 BlobId blob_id(std::span<const std::byte> bytes);
 
-/// The first 12 hexadecimal digits, for logs.
+/// All 64 hexadecimal digits.
+std::string full_name(const BlobId& id);
+
+/// The first 12 of them, for logs.
 std::string short_name(const BlobId& id);
 
 /// Blobs by id. Copies share the bytes.
@@ -33,6 +36,8 @@ class BlobStore {
 public:
     /// Keeps `bytes` and returns its id; a blob already held is kept once.
     BlobId insert(Bytes bytes);
+    /// The same for a blob whose id is known.
+    void insert(const BlobId& id, std::shared_ptr<const Bytes> blob);
     /// Null when the blob is not held.
     std::shared_ptr<const Bytes> find(const BlobId& id) const;
     bool contains(const BlobId& id) const { return blobs_.contains(id); }

@@ -117,6 +117,7 @@ void pack(const WorkerStatus& v, wire::WorkerStatus& out) {
     out.set_overdue(v.overdue);
     out.set_busy_seconds(v.busy_seconds);
     out.set_relayed_bytes(v.relayed_bytes);
+    out.set_sent_bytes(v.sent_bytes);
 }
 void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.peer = in.peer();
@@ -133,6 +134,7 @@ void unpack(const wire::WorkerStatus& in, WorkerStatus& v) {
     v.overdue = in.overdue();
     v.busy_seconds = amount(in.busy_seconds(), "busy_seconds");
     v.relayed_bytes = in.relayed_bytes();
+    v.sent_bytes = in.sent_bytes();
 }
 
 void pack(const SceneStatus& v, wire::SceneStatus& out) {

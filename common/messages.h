@@ -333,6 +333,7 @@ struct WorkerStatus {
     bool overdue = false;             ///< has let a lease expire and not been heard of since
     double busy_seconds = 0;          ///< of its threads, spent on tiles
     std::uint64_t relayed_bytes = 0;  ///< of blobs, sent to other workers
+    std::uint64_t sent_bytes = 0;     ///< by the server to it, of all messages
 
     bool operator==(const WorkerStatus&) const = default;
 };

@@ -11,14 +11,8 @@
 namespace tessera {
 namespace {
 
-using namespace std::chrono_literals;
 using boost::system::error_code;
 
-/// For a peer to be reached, and to let us in.
-constexpr auto handshake_deadline = 2s;
-/// In which a peer that is to send something must send a piece of it. It may have to wait for its
-/// own sender, but hands on what it gets piece by piece.
-constexpr auto patience = 5s;
 /// Others that are served at once, and blobs that one of them may wait for.
 constexpr std::size_t most_takers = 64, most_wanted = 1u << 20;
 /// Of a peer's messages: a request for most_wanted blobs, at 36 bytes each.
@@ -34,8 +28,8 @@ Address address_of(const BlobSource& source) {
 
 }  // namespace
 
-std::shared_ptr<Relay> Relay::listen(Connection& server, const RelayKeys& keys,
-                                     std::uint16_t port) {
+std::shared_ptr<Relay> Relay::listen(Connection& server, const RelayKeys& keys, std::uint16_t port,
+                                     const RelayPatience& patience) {
     const tcp::endpoint here(server.local_address(), port);
     if (!keys.accept && !here.address().is_loopback()) return nullptr;
     tcp::acceptor acceptor(server.executor());
@@ -49,12 +43,13 @@ std::shared_ptr<Relay> Relay::listen(Connection& server, const RelayKeys& keys,
                      error.code().message());
         return nullptr;
     }
-    return std::make_shared<Relay>(std::move(acceptor), keys);
+    return std::make_shared<Relay>(std::move(acceptor), keys, patience);
 }
 
-Relay::Relay(tcp::acceptor acceptor, const RelayKeys& keys)
+Relay::Relay(tcp::acceptor acceptor, const RelayKeys& keys, const RelayPatience& patience)
     : acceptor_(std::move(acceptor)),
       keys_(keys),
+      patience_(patience),
       port_(acceptor_.local_endpoint().port()),
       news_(acceptor_.get_executor(), std::chrono::steady_clock::time_point::max()) {}
 
@@ -126,7 +121,7 @@ asio::awaitable<void> Relay::serve(std::shared_ptr<Connection> connection) {
 
 /// Throws when the peer is none of this server's workers.
 asio::awaitable<void> Relay::admit(std::shared_ptr<Connection> connection) {
-    asio::steady_timer deadline(connection->executor(), handshake_deadline);
+    asio::steady_timer deadline(connection->executor(), patience_.handshake);
     deadline.async_wait([weak = std::weak_ptr(connection)](const error_code& cancelled) {
         const auto self = weak.lock();
         if (!cancelled && self) self->close();
@@ -226,7 +221,7 @@ asio::awaitable<void> Relay::take_from(std::shared_ptr<Giver> giver) {
 }
 
 asio::awaitable<void> Relay::enter(std::shared_ptr<Giver> giver) {
-    const auto connection = co_await connect(giver->address, keys_.connect, handshake_deadline);
+    const auto connection = co_await connect(giver->address, keys_.connect, patience_.handshake);
     if (!receiver_) co_return;
     if (keys_.connect && connection->peer_name() != worker_common_name)
         throw ProtocolError("shows no worker's certificate");
@@ -235,7 +230,7 @@ asio::awaitable<void> Relay::enter(std::shared_ptr<Giver> giver) {
     hello.build = TESSERA_VERSION;
     hello.token = token_;
     connection->send({hello, {}});
-    const Message answer = co_await connection->receive(handshake_deadline);
+    const Message answer = co_await connection->receive(patience_.handshake);
     if (!answer.get<Welcome>()) throw ProtocolError("lets nobody in");
     connection->admit({.message_bytes = max_hello_bytes});
     if (!receiver_) co_return;
@@ -263,7 +258,7 @@ void Relay::arm(const std::shared_ptr<Giver>& giver) {
         giver->deadline.cancel();
         return;
     }
-    giver->deadline.expires_after(patience);
+    giver->deadline.expires_after(patience_.silence);
     giver->deadline.async_wait([giver](const error_code& cancelled) {
         if (!cancelled && giver->deadline.expiry() <= std::chrono::steady_clock::now())
             giver->connection->close_for("sends nothing");

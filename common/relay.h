@@ -13,6 +13,7 @@
 // what server and worker have to say to each other never waits for them.
 #pragma once
 
+#include <chrono>
 #include <deque>
 #include <functional>
 #include <map>
@@ -22,15 +23,25 @@
 
 namespace tessera {
 
+/// How long peers may take.
+struct RelayPatience {
+    using Duration = std::chrono::steady_clock::duration;
+    /// For a peer to be reached, and to let us in.
+    Duration handshake = std::chrono::seconds(2);
+    /// In which a peer that is to send something must send a piece of it. It may have to wait for
+    /// its own sender, but hands on what it gets piece by piece.
+    Duration silence = std::chrono::seconds(5);
+};
+
 class Relay : public std::enable_shared_from_this<Relay> {
 public:
     /// Listens on the port (0: any free one) of the address by which the server is reached. Null
     /// where that may not be: without keys on loopback only. Also null, with a warning, where the
     /// port is taken.
     static std::shared_ptr<Relay> listen(Connection& server, const RelayKeys& keys,
-                                         std::uint16_t port);
+                                         std::uint16_t port, const RelayPatience& patience = {});
 
-    Relay(tcp::acceptor acceptor, const RelayKeys& keys);
+    Relay(tcp::acceptor acceptor, const RelayKeys& keys, const RelayPatience& patience);
 
     std::uint16_t port() const { return port_; }
 
@@ -84,6 +95,7 @@ private:
 
     tcp::acceptor acceptor_;
     RelayKeys keys_;
+    RelayPatience patience_;
     std::uint16_t port_;
     std::string token_;
     std::shared_ptr<SceneReceiver> receiver_;  ///< null: not begun, or closed

@@ -89,7 +89,20 @@ void SceneReceiver::complete(const BlobId& id, Bytes bytes) {
     if (blobs_.insert(std::move(bytes)) != id)
         refuse("blob {} comes with other content than its name says", short_name(id));
     for (auto& [name, entry] : scenes_) entry.missing.erase(id);
-    if (held_bytes_ > held_when_dropped_ + most_unused_bytes) drop_unused_blobs();
+    drop_unused_blobs_now_and_then();
+}
+
+void SceneReceiver::supply(BlobStore blobs) {
+    std::vector<BlobId> awaited;
+    for (const auto& [id, arrival] : arrivals_)
+        if (!arrival.begun) awaited.push_back(id);
+    blobs.keep_only(awaited);
+    make_room(blobs.bytes());
+    know(blobs);
+    const auto is_here = [&](const BlobId& id) { return blobs.contains(id); };
+    std::erase_if(arrivals_, [&](const auto& arrival) { return is_here(arrival.first); });
+    for (auto& [name, entry] : scenes_) std::erase_if(entry.missing, is_here);
+    drop_unused_blobs_now_and_then();
 }
 
 std::optional<BlobPart> SceneReceiver::part(const BlobId& id) const {
@@ -128,6 +141,10 @@ void SceneReceiver::make_room(std::uint64_t bytes) {
         refuse("brings scenes with more than {} MB of meshes and textures{}{}",
                limits_.blob_bytes >> 20, limits_.option ? ": limited by " : "",
                limits_.option ? limits_.option : "");
+}
+
+void SceneReceiver::drop_unused_blobs_now_and_then() {
+    if (held_bytes_ > held_when_dropped_ + most_unused_bytes) drop_unused_blobs();
 }
 
 void SceneReceiver::drop_unused_blobs() {

@@ -69,11 +69,14 @@ public:
     /// Takes the next bytes of a blob that was asked for; the last ones are checked against its id.
     void add(const BlobChunk& chunk, std::span<const std::byte> bytes);
 
+    /// Takes from elsewhere what was asked for and has not begun to come; nothing else.
+    void supply(BlobStore blobs);
+
     /// What is here of a blob; none of one that is neither held nor asked for.
     std::optional<BlobPart> part(const BlobId& id) const;
 
     /// Forgets what has come of these blobs, unless they are whole, and returns the requests for
-    /// those that scenes still wait for: whoever was to send them has failed.
+    /// those that scenes still wait for: where they were to come from, they do not.
     std::vector<BlobRequest> ask_again(std::span<const BlobId> ids);
 
     /// The next scene whose newest version has become whole; every version at most once.
@@ -101,6 +104,8 @@ private:
 
     void make_room(std::uint64_t bytes);
     void drop_unused_blobs();
+    /// When many have come since that was done last.
+    void drop_unused_blobs_now_and_then();
     void complete(const BlobId& id, Bytes bytes);
 
     SceneLimits limits_;

@@ -126,6 +126,8 @@ std::string metrics_text(const Status& status) {
         of_each_worker(status, "tessera_worker_relayed_bytes_total", MetricType::Counter,
                        "Of meshes and textures, sent to other workers.",
                        [](W w) { return double(w.relayed_bytes); }),
+        of_each_worker(status, "tessera_worker_sent_bytes_total", MetricType::Counter,
+                       "Sent to it by the server.", [](W w) { return double(w.sent_bytes); }),
         of_each_worker(status, "tessera_worker_memory_bytes", MetricType::Gauge, "Resident memory.",
                        [](W w) { return w.memory_bytes; }),
         of_each_worker(status, "tessera_worker_overdue", MetricType::Gauge,

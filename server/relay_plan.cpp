@@ -8,7 +8,7 @@ namespace {
 
 /// How many others a worker passes a blob on to.
 constexpr int fan_out = 2;
-constexpr int most_failures = 3;
+constexpr std::size_t most_failures = 3;
 /// A worker's own part of a hop, beside the way there and back twice.
 constexpr double hop_seconds = 1e-3;
 
@@ -21,21 +21,22 @@ bool relaying_pays(std::uint64_t bytes, std::size_t workers, const LinkSpeed& up
     return saved > hops * (2 * uplink.round_trip_seconds + hop_seconds);
 }
 
-void RelayPlan::add_worker(std::uint64_t worker, bool relays) { workers_[worker] = {relays, 0}; }
+void RelayPlan::add_worker(std::uint64_t worker, bool relays) { workers_[worker] = {relays, {}}; }
 
 void RelayPlan::remove_worker(std::uint64_t worker) { workers_.erase(worker); }
 
 void RelayPlan::failed(std::uint64_t worker, std::uint64_t peer) {
     const auto blamed = workers_.find(peer);
     if (blamed == workers_.end()) return;
-    ++blamed->second.failures;
-    if (const auto found = workers_.find(worker); found != workers_.end()) ++found->second.failures;
+    blamed->second.failed.push_back(worker);
+    if (const auto found = workers_.find(worker); found != workers_.end())
+        found->second.failed.push_back(peer);
 }
 
 bool RelayPlan::takes_part(std::uint64_t worker) const {
     const auto found = workers_.find(worker);
     return mode_ != RelayMode::off && found != workers_.end() && found->second.relays &&
-           found->second.failures < most_failures;
+           found->second.failed.size() < most_failures;
 }
 
 RelayPlan::Entry& RelayPlan::entry_of(const BlobId& id, const std::shared_ptr<const Bytes>& blob) {
@@ -49,12 +50,14 @@ RelayPlan::Entry& RelayPlan::entry_of(const BlobId& id, const std::shared_ptr<co
     return entry;
 }
 
-RelayPlan::Copy* RelayPlan::sender_to(std::uint64_t worker, Entry& entry) {
+RelayPlan::Copy* RelayPlan::sender_to(std::uint64_t worker, Entry& entry) const {
     std::erase_if(entry.copies, [&](const Copy& copy) {
         return copy.passed_on >= fan_out || !takes_part(copy.worker);
     });
-    const auto found = std::find_if(entry.copies.begin(), entry.copies.end(),
-                                    [&](const Copy& copy) { return copy.worker != worker; });
+    const std::vector<std::uint64_t>& failed = workers_.at(worker).failed;
+    const auto found = std::ranges::find_if(entry.copies, [&](const Copy& copy) {
+        return copy.worker != worker && std::ranges::count(failed, copy.worker) == 0;
+    });
     return found == entry.copies.end() ? nullptr : &*found;
 }
 

@@ -45,14 +45,15 @@ public:
     std::vector<Share> share(std::uint64_t worker, std::span<const BlobId> ids,
                              const BlobStore& store, const LinkSpeed& uplink);
 
-    /// The worker could not have something from this peer. Whoever takes part in three such
-    /// failures has no part in relays any more; a peer that is gone is nobody's fault.
+    /// The worker could not have something from this peer, and is not sent there again. Whoever
+    /// takes part in three such failures has no part in relays any more; a peer that is gone is
+    /// nobody's fault.
     void failed(std::uint64_t worker, std::uint64_t peer);
 
 private:
     struct Worker {
         bool relays = false;
-        int failures = 0;
+        std::vector<std::uint64_t> failed;  ///< with whom, once for each failure
     };
     /// A worker that can still pass a blob on.
     struct Copy {
@@ -67,7 +68,7 @@ private:
     bool takes_part(std::uint64_t worker) const;
     Entry& entry_of(const BlobId& id, const std::shared_ptr<const Bytes>& blob);
     /// Null when nobody can pass it on to the worker.
-    Copy* sender_to(std::uint64_t worker, Entry& entry);
+    Copy* sender_to(std::uint64_t worker, Entry& entry) const;
 
     RelayMode mode_;
     std::map<std::uint64_t, Worker> workers_;

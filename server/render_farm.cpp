@@ -287,7 +287,8 @@ std::vector<WorkerStatus> RenderFarm::worker_status() const {
                        .memory_bytes = worker->memory_bytes(),
                        .overdue = pace.overdue,
                        .busy_seconds = worker->busy_seconds,
-                       .relayed_bytes = worker->relayed_bytes()});
+                       .relayed_bytes = worker->relayed_bytes(),
+                       .sent_bytes = worker->sent_bytes()});
     }
     return out;
 }

@@ -57,6 +57,7 @@ public:
     /// Where other workers get blobs from it, "host:port"; empty: nowhere.
     const std::string& relay_address() const { return relay_address_; }
     std::uint64_t relayed_bytes() const { return relayed_bytes_; }
+    std::uint64_t sent_bytes() const { return connection_->bytes_sent(); }
     /// As it was of late.
     const LinkSpeed& link() const { return link_; }
 

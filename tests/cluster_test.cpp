@@ -29,9 +29,28 @@ struct Cluster {
     RenderClient client;
 
     Cluster(int workers, int threads)
-        : processes({.workers = workers, .threads = threads, .programs = TESSERA_PROGRAMS}),
+        : Cluster({.workers = workers, .threads = threads, .programs = TESSERA_PROGRAMS}) {}
+    explicit Cluster(const LocalClusterConfig& config)
+        : processes(config),
           client({.address = processes.address(), .credentials = processes.credentials()}) {}
+
+    /// Waits until the server's status is as `wanted` says.
+    Status wait_for(const std::function<bool(const Status&)>& wanted) {
+        for (;;) {
+            Status status = client.status();
+            if (wanted(status)) return status;
+            client.wait_until(std::chrono::steady_clock::now() + std::chrono::milliseconds(10));
+        }
+    }
 };
+
+/// Of blobs that are kept there.
+std::uint64_t bytes_in(const std::filesystem::path& folder) {
+    std::uint64_t sum = 0;
+    for (const auto& file : std::filesystem::directory_iterator(folder))
+        if (file.path().extension() == ".blob") sum += file.file_size();
+    return sum;
+}
 
 const SceneBundle& office() {
     static const SceneBundle bundle = *generate_scene("office");
@@ -79,6 +98,43 @@ TEST(Cluster, same_bits_when_a_worker_is_killed_in_mid_frame) {
     });
     EXPECT_TRUE(killed) << "the frame was over before a worker could be killed";
     EXPECT_EQ(picture, expected);
+}
+
+TEST(Cluster, same_bits_from_workers_that_get_meshes_from_one_another) {
+    const FrameRequest request = small_picture(office());
+    Cluster alone(1, 2);
+    const Image expected = render(alone, office(), request);
+
+    Cluster cluster({.workers = 3, .threads = 1, .relays = "on", .programs = TESSERA_PROGRAMS});
+    cluster.wait_for([](const Status& status) { return status.workers.size() == 3; });
+    EXPECT_EQ(render(cluster, office(), request), expected);
+    // One of them gets everything from the server, and the others from those before them.
+    std::uint64_t relayed = 0;
+    cluster.wait_for([&](const Status& status) {
+        std::uint64_t sent = relayed = 0;
+        for (const WorkerStatus& worker : status.workers) {
+            sent += worker.sent_bytes;
+            relayed += worker.relayed_bytes;
+        }
+        return relayed > 0 || sent > 3 * office().blobs.bytes();
+    });
+    if (relayed == 0) GTEST_SKIP() << "no worker let another one in within two seconds";
+}
+
+TEST(Cluster, a_worker_that_is_killed_comes_back_with_its_meshes) {
+    const TempDir dir;
+    const std::filesystem::path cache = dir.file("cache");
+    const FrameRequest request = small_picture(office());
+    Cluster cluster(
+        {.workers = 1, .threads = 2, .blob_cache = cache, .programs = TESSERA_PROGRAMS});
+    const Image first = render(cluster, office(), request);
+    const auto sent = [&] { return cluster.client.status().workers.at(0).sent_bytes; };
+    EXPECT_GT(sent(), office().blobs.bytes());
+    cluster.wait_for([&](const Status&) { return bytes_in(cache) == office().blobs.bytes(); });
+
+    cluster.processes.restart_worker(0);
+    EXPECT_EQ(render(cluster, office(), request), first);
+    EXPECT_LT(sent(), office().blobs.bytes() / 4);
 }
 
 TEST(Cluster, a_second_upload_of_the_same_scene_renders_the_same) {

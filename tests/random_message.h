@@ -324,7 +324,8 @@ private:
                 .memory_bytes = big(),
                 .overdue = below(2) == 1,
                 .busy_seconds = amount(),
-                .relayed_bytes = big()};
+                .relayed_bytes = big(),
+                .sent_bytes = big()};
     }
     SceneStatus make_one(SceneStatus) {
         return {.name = name(), .version = big(), .instances = big(), .bytes = big()};

@@ -11,6 +11,7 @@
 
 #include "server/relay_plan.h"
 #include "tests/loopback.h"
+#include "tests/temp_dir.h"
 
 namespace tessera {
 namespace {
@@ -91,23 +92,34 @@ TEST(RelayPlan, asks_only_those_who_are_there_and_can) {
     EXPECT_EQ(senders(off, asked, 2), Peers{0});
 }
 
-TEST(RelayPlan, three_failures_are_enough) {
+TEST(RelayPlan, nobody_is_sent_twice_to_whom_he_could_not_reach) {
     RelayPlan plan(RelayMode::on);
     for (const std::uint64_t worker : {1, 2, 3}) plan.add_worker(worker, true);
     for (int i = 0; i < 4; ++i) {
         const Asked asked(std::size_t(200000 + i));
         EXPECT_EQ(plan.share(1, asked.ids, asked.store, thin)[0].peer, 0u);
-        EXPECT_EQ(plan.share(2, asked.ids, asked.store, thin)[0].peer, i < 3 ? 1u : 0u);
-        plan.failed(2, 1);
-        plan.failed(3, 77);  // gone already
+        EXPECT_EQ(plan.share(2, asked.ids, asked.store, thin)[0].peer, i == 0 ? 1u : 0u);
+        EXPECT_EQ(plan.share(3, asked.ids, asked.store, thin)[0].peer, 1u);
+        if (i == 0) plan.failed(2, 1);
     }
-    const Asked asked(5);
-    plan.add_worker(4, true);
-    EXPECT_EQ(plan.share(3, asked.ids, asked.store, thin)[0].peer, 0u);
-    EXPECT_EQ(plan.share(4, asked.ids, asked.store, thin)[0].peer, 3u);
+}
+
+TEST(RelayPlan, three_failures_are_enough) {
+    RelayPlan plan(RelayMode::on);
+    for (const std::uint64_t worker : {1, 2, 3, 4, 5}) plan.add_worker(worker, true);
+    for (int i = 0; i < 4; ++i) {
+        const Asked asked(std::size_t(200000 + i));
+        const auto asks = std::uint64_t(2 + i);
+        EXPECT_EQ(plan.share(1, asked.ids, asked.store, thin)[0].peer, 0u);
+        EXPECT_EQ(plan.share(asks, asked.ids, asked.store, thin)[0].peer, i < 3 ? 1u : 0u);
+        plan.failed(asks, 1);
+        plan.failed(asks, 77);  // gone already
+    }
 }
 
 // ---- The workers' side --------------------------------------------------------------------------
+
+using namespace std::chrono_literals;
 
 /// A worker's relay and what it holds; the connection is the one to its server.
 struct Node {
@@ -116,9 +128,10 @@ struct Node {
     std::shared_ptr<Relay> relay;
     asio::steady_timer changed;
 
-    Node(std::shared_ptr<Connection> connection, const std::string& token)
+    Node(std::shared_ptr<Connection> connection, const std::string& token,
+         const RelayKeys& keys = {}, const RelayPatience& patience = {})
         : server(std::move(connection)),
-          relay(Relay::listen(*server, {}, 0)),
+          relay(Relay::listen(*server, keys, 0, patience)),
           changed(server->executor(), std::chrono::steady_clock::time_point::max()) {
         relay->begin(token, receiver, server, [this] { changed.cancel(); });
     }
@@ -182,15 +195,22 @@ TEST(Relay, passes_on_what_is_still_coming) {
     });
 }
 
-enum class Fault { nobody_there, other_token, not_held, liar, rambler, dies };
+enum class Fault { nobody_there, other_token, not_held, liar, rambler, dies, mute, silent };
+
+/// Takes everything and says nothing, until the other side has had enough.
+asio::awaitable<void> listen_only(std::shared_ptr<Connection> peer) {
+    for (;;) co_await peer->receive();
+}
 
 /// A peer that lets in whoever comes and then breaks the rules.
 asio::awaitable<void> misbehave(tcp::acceptor& acceptor, Fault fault, const OneMesh& scene) {
     const auto peer =
         std::make_shared<Connection>(co_await acceptor.async_accept(asio::use_awaitable));
+    if (fault == Fault::mute) co_await listen_only(peer);
     co_await peer->receive();
     Welcome welcome;
     peer->send({welcome, {}});
+    if (fault == Fault::silent) co_await listen_only(peer);
     co_await peer->receive();
     std::vector<Message> chunks = scene.chunks();
     if (fault == Fault::liar) {
@@ -206,10 +226,13 @@ asio::awaitable<void> misbehave(tcp::acceptor& acceptor, Fault fault, const OneM
 TEST(Relay, whatever_a_peer_does_the_server_is_asked) {
     const OneMesh scene;
     for (const Fault fault : {Fault::nobody_there, Fault::other_token, Fault::not_held, Fault::liar,
-                              Fault::rambler, Fault::dies}) {
+                              Fault::rambler, Fault::dies, Fault::mute, Fault::silent}) {
+        RelayPatience patience;
+        if (fault == Fault::mute) patience.handshake = 20ms;
+        if (fault == Fault::silent) patience.silence = 20ms;
         run_pair([&](Pair pair) -> asio::awaitable<void> {
             Node giver(pair.b, fault == Fault::other_token ? "other" : "token");
-            Node taker(pair.a, "token");
+            Node taker(pair.a, "token", {}, patience);
             tcp::acceptor acceptor(pair.a->executor(), {asio::ip::address_v4::loopback(), 0});
             std::uint16_t port = acceptor.local_endpoint().port();
             if (fault == Fault::nobody_there) acceptor.close();
@@ -217,7 +240,7 @@ TEST(Relay, whatever_a_peer_does_the_server_is_asked) {
                 port = giver.relay->port();
             else if (fault != Fault::nobody_there)
                 asio::co_spawn(pair.a->executor(), misbehave(acceptor, fault, scene),
-                               asio::detached);
+                               [](std::exception_ptr) {});
             taker.receiver->update(scene.update());
             taker.relay->pull(scene.source(port));
             const Message asked = co_await pair.b->receive();
@@ -230,6 +253,46 @@ TEST(Relay, whatever_a_peer_does_the_server_is_asked) {
             EXPECT_EQ(*ready->blobs.find(scene.id), *scene.blobs.find(scene.id));
         });
     }
+}
+
+/// Takes a mesh by relay; returns whether it came, else the server was asked for it.
+bool relays(const RelayKeys& givers, const RelayKeys& takers) {
+    const OneMesh scene;
+    bool came = false, asked = false;
+    run_pair([&](Pair pair) -> asio::awaitable<void> {
+        Node giver(pair.b, "token", givers), taker(pair.a, "token", takers);
+        giver.receiver->know(scene.blobs);
+        taker.receiver->update(scene.update());
+        const auto server = [&]() -> asio::awaitable<void> {
+            co_await pair.b->receive();
+            asked = true;
+            taker.changed.cancel();
+        };
+        asio::co_spawn(pair.b->executor(), server, [](std::exception_ptr) {});
+        taker.relay->pull(scene.source(giver.relay->port()));
+        while (!came && !asked) {
+            co_await taker.change();
+            came = taker.receiver->take_ready().has_value();
+        }
+        EXPECT_EQ(giver.relay->bytes_sent(), came ? scene.blobs.bytes() : 0);
+    });
+    return came;
+}
+
+TEST(Relay, only_workers_of_the_same_keys_give_and_get) {
+    const TempDir temp;
+    make_keys(temp.file("ours"));
+    make_keys(temp.file("theirs"));
+    const RelayKeys ours = load_credentials(temp.file("ours/worker")).relay,
+                    theirs = load_credentials(temp.file("theirs/worker")).relay;
+    const auto server_of_ours =
+        std::make_shared<const Tls>(temp.file("ours/server"), Tls::Side::peer);
+    EXPECT_TRUE(relays(ours, ours));
+    EXPECT_FALSE(relays(ours, theirs));
+    EXPECT_FALSE(relays(theirs, ours));
+    EXPECT_FALSE(relays(ours, {})) << "no certificate";
+    EXPECT_FALSE(relays({}, ours));
+    EXPECT_FALSE(relays(ours, {nullptr, server_of_ours})) << "of our authority, but no worker's";
 }
 
 TEST(Relay, what_no_scene_needs_any_more_is_not_asked_for) {

@@ -229,6 +229,39 @@ TEST(SceneSync, earlier_blobs_make_room_when_it_is_needed) {
     EXPECT_EQ(waiting.receiver.blobs().size(), 1u);
 }
 
+TEST(SceneSync, what_is_found_elsewhere_need_not_come) {
+    Waiting waiting;
+    BlobStore elsewhere;
+    elsewhere.insert(*waiting.blob);
+    elsewhere.insert(Bytes(5));
+    waiting.receiver.supply(elsewhere);
+    EXPECT_TRUE(waiting.receiver.ask_again(std::vector{waiting.id}).empty());
+    const auto ready = waiting.receiver.take_ready();
+    ASSERT_TRUE(ready);
+    EXPECT_EQ(*ready->blobs.find(waiting.id), *waiting.blob);
+    EXPECT_EQ(waiting.receiver.blobs().size(), 1u) << "nobody has asked for the other one";
+    EXPECT_THROW(waiting.add(0), ProtocolError);
+}
+
+TEST(SceneSync, what_has_begun_to_come_comes_to_its_end) {
+    Waiting waiting;
+    waiting.add(0);
+    BlobStore elsewhere;
+    elsewhere.insert(*waiting.blob);
+    waiting.receiver.supply(elsewhere);
+    EXPECT_FALSE(waiting.receiver.take_ready());
+    waiting.add(1);
+    waiting.add(2);
+    EXPECT_TRUE(waiting.receiver.take_ready());
+}
+
+TEST(SceneSync, what_is_found_elsewhere_must_have_room) {
+    Waiting waiting({.scenes = 1, .blob_bytes = 2 * chunk_bytes});
+    BlobStore elsewhere;
+    elsewhere.insert(*waiting.blob);
+    EXPECT_THROW(waiting.receiver.supply(elsewhere), ProtocolError);
+}
+
 TEST(SceneSync, a_dropped_scene_frees_its_blobs) {
     Waiting waiting;
     for (std::size_t i = 0; i < 3; ++i) waiting.add(i);

@@ -14,6 +14,7 @@
 #include <regex>
 
 #include "common/check.h"
+#include "common/relay.h"
 #include "common/scene_sync.h"
 #include "tests/fake_answer.h"
 #include "tests/loopback.h"
@@ -32,11 +33,13 @@ struct Host {
     std::size_t workers_in = 0;
 
     explicit Host(const std::string& token = "", const std::filesystem::path& keys = {},
-                  const std::filesystem::path& journal = {}, const Limits& limits = {})
+                  const std::filesystem::path& journal = {}, const Limits& limits = {},
+                  RelayMode relays = RelayMode::automatic)
         : server(io, {.listen = "127.0.0.1:0",
                       .keys = keys,
                       .token = token,
                       .journal = journal,
+                      .relays = relays,
                       .limits = limits,
                       .handshake_deadline = 2s}) {
         server.start();
@@ -94,7 +97,8 @@ struct WorkerScript {
     int ignores = 0;        ///< tasks at the beginning
     int leaves_after = -1;  ///< answers; goes on with what it has
     bool answers_twice = false;
-    bool answers_wrong = false;     ///< with a tile of the wrong size
+    bool answers_wrong = false;  ///< with a tile of the wrong size
+    bool relays = false;
     std::string cannot_build = {};  ///< reason
     std::string cannot_render = {};
 };
@@ -108,16 +112,49 @@ Message answer_to(const FrameSpec& spec, const TileTask& task, bool wrong) {
     return {TileResults{{report}}, {pixels, *pixels}};
 }
 
+/// A worker's side: what it holds, and its relay, if it has one.
+struct FakeWorker {
+    std::shared_ptr<Connection> connection;
+    std::shared_ptr<SceneReceiver> scenes = std::make_shared<SceneReceiver>();
+    std::shared_ptr<Relay> relay;
+
+    FakeWorker() = default;
+    FakeWorker(FakeWorker&&) = default;
+    ~FakeWorker() {
+        if (relay) relay->close();
+    }
+};
+
+asio::awaitable<FakeWorker> join_as_worker(Host& host, bool relays) {
+    FakeWorker worker;
+    worker.connection = co_await connect(parse_address(host.server.address()));
+    Hello hello = hello_of(Role::worker);
+    if (relays) {
+        // Of peers, on however slow a machine.
+        const RelayPatience patience{60s, 60s};
+        worker.relay = Relay::listen(*worker.connection, {}, 0, patience);
+        hello.relay_port = worker.relay->port();
+    }
+    worker.connection->send({hello, {}});
+    const Message answer = co_await worker.connection->receive();
+    const auto* welcome = answer.get<Welcome>();
+    if (!welcome) throw std::runtime_error("the server does not let the worker in");
+    if (relays) worker.relay->begin(welcome->relay_token, worker.scenes, worker.connection, [] {});
+    ++host.workers_in;
+    co_return worker;
+}
+
 /// Builds nothing and renders made-up tiles; ends with its connection.
 asio::awaitable<void> fake_worker(Host& host, WorkerScript script) {
-    const auto connection = co_await join(host, Role::worker);
-    ++host.workers_in;
-    SceneReceiver scenes;
+    const FakeWorker self = co_await join_as_worker(host, script.relays);
+    const auto connection = self.connection;
+    SceneReceiver& scenes = *self.scenes;
     std::map<std::uint64_t, FrameSpec> frames;
     for (int answers = 0; answers != script.dies_after;) {
         const Message message = co_await connection->receive();
         if (const auto* update = message.get<SceneUpdate>())
             connection->send({scenes.update(*update), {}});
+        if (const auto* source = message.get<BlobSource>()) self.relay->pull(*source);
         if (const auto* chunk = message.get<BlobChunk>()) scenes.add(*chunk, message.payload.bytes);
         if (const auto ready = scenes.take_ready()) {
             SceneReady report;
@@ -433,6 +470,42 @@ TEST(Server, the_path_integrator_adds_up_runs_of_passes) {
 
 TEST(Server, a_worker_that_leaves_does_not_change_a_bit) {
     expect_exact(render_with({{.leaves_after = 3}, {.leaves_after = 1}, {}}), small_request().spec);
+}
+
+/// Gets the first piece of a mesh, passes it on to a worker that comes then, and is gone.
+asio::awaitable<void> die_in_mid_upload(Host& host) {
+    const FakeWorker self = co_await join_as_worker(host, true);
+    for (bool begun = false; !begun;) {
+        const Message message = co_await self.connection->receive();
+        if (const auto* ping = message.get<Ping>()) self.connection->send({Pong{ping->stamp}, {}});
+        if (const auto* update = message.get<SceneUpdate>())
+            self.connection->send({self.scenes->update(*update), {}});
+        if (const auto* chunk = message.get<BlobChunk>()) {
+            self.scenes->add(*chunk, message.payload.bytes);
+            begun = true;
+        }
+    }
+    start_worker(host, {.relays = true});
+    while (self.relay->bytes_sent() == 0)
+        co_await asio::post(self.connection->executor(), asio::use_awaitable);
+    self.connection->close();
+}
+
+TEST(Server, a_worker_that_dies_while_it_passes_meshes_on_does_not_change_a_bit) {
+    Host host("", {}, {}, {}, RelayMode::on);
+    SceneBundle bundle = small_scene(1);
+    Mesh mesh;
+    mesh.positions.resize(chunk_bytes / 4);  // three pieces and more
+    mesh.triangles = {{0, 1, 2}};
+    bundle.scene.objects[0].mesh = add_mesh(bundle, mesh);
+    host.run([&]() -> asio::awaitable<void> {
+        const auto viewer = co_await join(host, Role::viewer);
+        asio::co_spawn(host.io, die_in_mid_upload(host), [](std::exception_ptr) {});
+        while (host.workers_in < 1) co_await asio::post(host.io, asio::use_awaitable);
+        co_await upload(viewer, bundle);
+        expect_exact(co_await render(viewer, small_request()), small_request().spec);
+        EXPECT_EQ(host.workers_in, 2u);
+    });
 }
 
 TEST(Server, metrics_name_every_worker) {

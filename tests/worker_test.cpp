@@ -11,9 +11,12 @@
 #include "common/generator.h"
 #include "common/tile_codec.h"
 #include "tests/loopback.h"
+#include "tests/temp_dir.h"
 
 namespace tessera {
 namespace {
+
+namespace fs = std::filesystem;
 
 /// The server's side of one test; the worker runs beside it and both end with it.
 class FakeServer {
@@ -31,7 +34,11 @@ public:
     /// Runs a worker and `script`, a coroutine; ends both when the script is over.
     template <class Script>
     void run_with_worker(Script script) {
-        Worker worker(worker_config());
+        run_with_worker(worker_config(), std::move(script));
+    }
+    template <class Script>
+    void run_with_worker(const WorkerConfig& config, Script script) {
+        Worker worker(config);
         asio::co_spawn(io_, worker.run(), [](std::exception_ptr) {});
         std::exception_ptr failure;
         asio::co_spawn(io_, std::move(script), [&](std::exception_ptr error) {
@@ -251,6 +258,51 @@ TEST(Worker, keeps_meshes_when_the_connection_is_lost) {
         worker->send({SceneUpdate{.scene = "s", .delta = diff(empty, version_of(bundle, 1))}, {}});
         const BlobRequest request = co_await expect<BlobRequest>(worker);
         EXPECT_TRUE(request.blobs.empty());
+        co_await expect<SceneReady>(worker);
+    });
+}
+
+/// How many files are in the folder, and none of them is being written.
+std::size_t whole_files(const fs::path& folder) {
+    std::size_t count = 0;
+    for (const auto& file : fs::directory_iterator(folder)) {
+        if (file.path().extension() != ".blob") return 0;
+        ++count;
+    }
+    return count;
+}
+
+TEST(Worker, asks_for_nothing_that_is_on_disk) {
+    const TempDir folder;
+    const fs::path cache = folder.file("cache");
+    const SceneBundle bundle = *generate_scene("cornell");
+    const auto run_worker = [&](auto script) {
+        FakeServer server;
+        WorkerConfig config = server.worker_config();
+        config.blob_cache = cache;
+        server.run_with_worker(config, [&]() -> asio::awaitable<void> {
+            co_await script(co_await server.accept_worker());
+        });
+    };
+    using Peer = std::shared_ptr<Connection>;
+    run_worker([&](Peer worker) -> asio::awaitable<void> {
+        co_await send_scene(worker, bundle);
+        while (whole_files(cache) < bundle.blobs.size()) {
+            worker->send({Ping{1}, {}});
+            co_await expect<Pong>(worker);
+        }
+    });
+    // Another worker, and one file is damaged.
+    fs::resize_file(cache / (full_name(bundle.scene.meshes[0]) + ".blob"), 7);
+    run_worker([&](Peer worker) -> asio::awaitable<void> {
+        const SceneDelta delta = diff(SceneVersion{}, version_of(bundle, 1));
+        worker->send({SceneUpdate{.scene = "s", .delta = delta}, {}});
+        const BlobRequest request = co_await expect<BlobRequest>(worker);
+        EXPECT_EQ(request.blobs, std::vector{bundle.scene.meshes[0]});
+        co_await send_blobs(worker, bundle.blobs, request.blobs);
+        co_await expect<SceneReady>(worker);
+        worker->send({SceneUpdate{.scene = "t", .delta = delta}, {}});
+        EXPECT_TRUE((co_await expect<BlobRequest>(worker)).blobs.empty());
         co_await expect<SceneReady>(worker);
     });
 }

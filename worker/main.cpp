@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <csignal>
 #include <cstdlib>
+#include <limits>
 #include <thread>
 
 #include "common/check.h"
@@ -25,6 +26,8 @@ struct Options {
     std::string plugins;
     unsigned attempts = 0;
     std::uint16_t relay_port = 0;
+    std::string blob_cache;
+    std::uint64_t blob_cache_size = WorkerConfig{}.blob_cache_bytes;
     bool no_relay = false;
     std::string log = "info";
     pid_t parent = 0;
@@ -58,6 +61,15 @@ void declare(CLI::App& app, Options& options) {
         ->capture_default_str();
     app.add_flag("--no-relay", options.no_relay,
                  "Gets everything from the server, and has nothing for other workers");
+    app.add_option("--blob-cache", options.blob_cache,
+                   "Keeps meshes and textures in this folder, so that after a restart they need "
+                   "not be sent again; several workers may share it")
+        ->type_name("FOLDER");
+    app.add_option("--blob-cache-size", options.blob_cache_size,
+                   "Most bytes there; those not used for longest go first")
+        ->transform(CLI::AsSizeValue(false))
+        ->check(CLI::Range(std::uint64_t(1), std::numeric_limits<std::uint64_t>::max()))
+        ->default_str("4G");
     app.add_option("--plugins", options.plugins,
                    "Folder of shader plug-ins: shared objects that define what "
                    "worker/tessera_shader.h says")
@@ -88,6 +100,8 @@ WorkerConfig config_of(const Options& options) {
                         .shaders = shaders_of(options.plugins),
                         .relays = !options.no_relay,
                         .relay_port = options.relay_port,
+                        .blob_cache = options.blob_cache,
+                        .blob_cache_bytes = options.blob_cache_size,
                         .attempts = std::nullopt};
     if (options.attempts > 0) config.attempts = options.attempts;
     return config;

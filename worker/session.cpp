@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <exception>
+#include <iterator>
+#include <set>
 #include <utility>
 
 #include "common/log.h"
@@ -22,6 +24,9 @@ constexpr std::size_t max_frames = 256;
 constexpr std::size_t enough_bytes = 64u << 10;
 /// Versions of a scene kept: the newest, and the one that frames still in flight may ask for.
 constexpr std::size_t kept_versions = 2;
+/// Updates whose blobs are looked for on disk at once, and scenes that wait to be written: a disk
+/// that does not keep up is not waited for.
+constexpr std::size_t max_reads = 256, max_writes = 4;
 
 /// Runs `work`; returns what went wrong, or nothing.
 template <class Work>
@@ -37,15 +42,21 @@ std::string error_of(Work work) {
 }  // namespace
 
 WorkerPools::WorkerPools(unsigned render_threads)
-    : render(render_threads, max_tasks), scenes(1, max_frames), frames(1, 2 * max_frames) {}
+    : render(render_threads, max_tasks),
+      scenes(1, max_frames),
+      frames(1, 2 * max_frames),
+      reads(1, max_reads),
+      writes(1, max_writes) {}
 
 Session::Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
-                 const RendererConfig& config, const BlobStore& known, std::shared_ptr<Relay> relay)
+                 const RendererConfig& config, const BlobStore& known, std::shared_ptr<Relay> relay,
+                 std::shared_ptr<BlobCache> cache)
     : connection_(std::move(connection)),
       executor_(connection_->executor()),
       pools_(pools),
       renderer_config_(config),
-      relay_(std::move(relay)) {
+      relay_(std::move(relay)),
+      cache_(std::move(cache)) {
     receiver_->know(known);
 }
 
@@ -84,6 +95,12 @@ void Session::handle(const Message& message) {
 
 template <class Work, class Done>
 void Session::run_in(ThreadPool& pool, Work work, Done done) {
+    if (!try_run_in(pool, std::move(work), std::move(done)))
+        throw ProtocolError("hands out more work than can wait");
+}
+
+template <class Work, class Done>
+bool Session::try_run_in(ThreadPool& pool, Work work, Done done) {
     auto job = [weak = weak_from_this(), executor = executor_, work = std::move(work),
                 done = std::move(done)] {
         auto result = work();
@@ -97,15 +114,65 @@ void Session::run_in(ThreadPool& pool, Work work, Done done) {
             }
         });
     };
-    if (!pool.try_post(std::move(job))) throw ProtocolError("hands out more work than can wait");
+    return pool.try_post(std::move(job));
 }
 
 // ---- Scenes -------------------------------------------------------------------------------------
 
 void Session::on(const SceneUpdate& update) {
-    connection_->send({receiver_->update(update), {}});
+    const BlobRequest request = receiver_->update(update);
     tracers_[update.scene] = update.tracer;
+    if (request.blobs.empty() || !look_on_disk(request)) connection_->send({request, {}});
     build_next_scene();
+}
+
+bool Session::look_on_disk(const BlobRequest& request) {
+    if (!cache_) return false;
+    return try_run_in(
+        pools_.reads,
+        [cache = cache_, &ending = pools_.ending, ids = request.blobs] {
+            BlobStore found;
+            for (const BlobId& id : ids) {
+                if (ending) break;
+                if (auto blob = cache->find(id)) found.insert(id, std::move(blob));
+            }
+            return found;
+        },
+        [request](Session& self, BlobStore found) {
+            self.looked_on_disk(request, std::move(found));
+        });
+}
+
+/// Asks for what was not there, if a scene still needs it.
+void Session::looked_on_disk(const BlobRequest& request, BlobStore found) {
+    if (found.size() > 0)
+        spdlog::info("scene '{}': {} of {} meshes and textures, {:.1f} MB, are on disk",
+                     request.scene, found.size(), request.blobs.size(),
+                     1e-6 * double(found.bytes()));
+    receiver_->supply(std::move(found));
+    std::vector<BlobRequest> rest = receiver_->ask_again(request.blobs);
+    if (rest.empty()) rest.push_back({.scene = request.scene, .blobs = {}});
+    for (BlobRequest& next : rest) connection_->send({std::move(next), {}});
+    if (relay_) relay_->arrived();
+    build_next_scene();
+}
+
+/// Meshes and textures; shapes, of which every version may bring others, are not worth a disk.
+void Session::keep_on_disk(const ReadyScene& ready) {
+    if (!cache_) return;
+    const Scene& scene = ready.scene->scene;
+    std::set<BlobId> ids(scene.meshes.begin(), scene.meshes.end());
+    ids.insert(scene.textures.begin(), scene.textures.end());
+    std::vector<BlobId>& kept = kept_[ready.name];
+    std::vector<BlobId> fresh;
+    std::ranges::set_difference(ids, kept, std::back_inserter(fresh));
+    if (fresh.empty()) return;
+    const bool posted = pools_.writes.try_post(
+        [cache = cache_, &ending = pools_.ending, fresh, blobs = ready.blobs] {
+            for (const BlobId& id : fresh)
+                if (ending || !cache->put(id, *blobs.find(id))) break;
+        });
+    if (posted) kept.assign(ids.begin(), ids.end());
 }
 
 void Session::on(const BlobSource& source) {
@@ -118,6 +185,7 @@ void Session::build_next_scene() {
     if (building_) return;
     const auto scene = receiver_->take_ready();
     if (!scene) return;
+    keep_on_disk(*scene);
     building_ = true;
     struct Built {
         std::shared_ptr<Renderer> renderer;
@@ -170,6 +238,7 @@ void Session::report_ready(const std::string& scene, std::uint64_t version,
 void Session::on(const SceneDrop& drop) {
     receiver_->drop(drop.scene);
     tracers_.erase(drop.scene);
+    kept_.erase(drop.scene);
     renderers_.erase(drop.scene);
 }
 

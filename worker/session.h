@@ -19,6 +19,7 @@
 #include "common/connection.h"
 #include "common/relay.h"
 #include "common/scene_sync.h"
+#include "worker/blob_cache.h"
 #include "worker/renderer.h"
 #include "worker/thread_pool.h"
 
@@ -27,20 +28,24 @@ namespace tessera {
 /// The threads that work for a session; they outlive it. Their queues are bounded: a server that
 /// fills one breaks the protocol.
 struct WorkerPools {
+    std::atomic<bool> ending = false;  ///< long jobs end early
     ThreadPool render;
     ThreadPool scenes;  ///< one thread: builds scenes one after the other
     ThreadPool frames;  ///< one thread: begins and ends frames in order
+    ThreadPool reads;   ///< one thread: finds blobs on disk
+    ThreadPool writes;  ///< one thread: puts blobs there
 
     explicit WorkerPools(unsigned render_threads);
+    ~WorkerPools() { ending = true; }
 };
 
 class Session : public std::enable_shared_from_this<Session> {
 public:
     /// `config`: of the renderers. `known`: blobs that are here already. `relay`: to other workers,
-    /// not begun; may be null.
+    /// not begun; may be null. `cache`: on disk; may be null.
     Session(std::shared_ptr<Connection> connection, WorkerPools& pools,
             const RendererConfig& config, const BlobStore& known = {},
-            std::shared_ptr<Relay> relay = {});
+            std::shared_ptr<Relay> relay = {}, std::shared_ptr<BlobCache> cache = {});
     ~Session();
 
     /// Serves until the connection ends; throws what Connection::receive throws.
@@ -79,6 +84,10 @@ private:
     void on(const TileTasks& tasks);
     void on(const Ping& ping);
 
+    /// Returns false when the disk has too much to do.
+    bool look_on_disk(const BlobRequest& request);
+    void looked_on_disk(const BlobRequest& request, BlobStore found);
+    void keep_on_disk(const ReadyScene& scene);
     void build_next_scene();
     void scene_built(const ReadyScene& scene, std::shared_ptr<Renderer> renderer,
                      const std::string& error);
@@ -100,6 +109,9 @@ private:
     /// the session is over. Throws ProtocolError when the pool's queue is full.
     template <class Work, class Done>
     void run_in(ThreadPool& pool, Work work, Done done);
+    /// The same, but returns false when the queue is full.
+    template <class Work, class Done>
+    bool try_run_in(ThreadPool& pool, Work work, Done done);
 
     std::shared_ptr<Connection> connection_;
     asio::any_io_executor executor_;
@@ -107,7 +119,9 @@ private:
     RendererConfig renderer_config_;
     std::shared_ptr<SceneReceiver> receiver_ = std::make_shared<SceneReceiver>();
     std::shared_ptr<Relay> relay_;
-    std::map<std::string, TracerKind> tracers_;  ///< by scene: what to build with it
+    std::shared_ptr<BlobCache> cache_;
+    std::map<std::string, std::vector<BlobId>> kept_;  ///< by scene: handed to the disk, sorted
+    std::map<std::string, TracerKind> tracers_;        ///< by scene: what to build with it
     bool building_ = false;
     std::map<std::string, std::deque<BuiltVersion>> renderers_;  ///< by scene, oldest first
     std::map<std::uint64_t, std::shared_ptr<Frame>> frames_;

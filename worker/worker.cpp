@@ -46,6 +46,13 @@ asio::awaitable<std::string> shake_hands(Connection& connection, const WorkerCon
 
 }  // namespace
 
+Worker::Worker(const WorkerConfig& config)
+    : config_(config),
+      cache_(config.blob_cache.empty()
+                 ? nullptr
+                 : std::make_shared<BlobCache>(config.blob_cache, config.blob_cache_bytes)),
+      pools_(config.threads) {}
+
 asio::awaitable<void> Worker::serve() {
     const auto connection = co_await connect(config_.server, config_.credentials.tls);
     const auto relay =
@@ -56,7 +63,7 @@ asio::awaitable<void> Worker::serve() {
     failures_ = 0;
     const auto session = std::make_shared<Session>(
         connection, pools_, RendererConfig{int(config_.threads), config_.shaders},
-        std::exchange(blobs_, {}), relay);
+        std::exchange(blobs_, {}), relay, cache_);
     session_ = session;
     if (leaving_) session->leave();
     try {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
 #include <optional>
 #include <string>
 
@@ -18,13 +19,15 @@ struct WorkerConfig {
     std::shared_ptr<const ShaderTable> shaders = built_in_shaders();
     bool relays = true;            ///< has meshes and textures for other workers, and takes theirs
     std::uint16_t relay_port = 0;  ///< where; 0: any free port
+    std::filesystem::path blob_cache = {};  ///< folder for meshes and textures; empty: none is kept
+    std::uint64_t blob_cache_bytes = std::uint64_t(4) << 30;
     /// Attempts in a row that may fail before the worker gives up; none: it never does.
     std::optional<unsigned> attempts;
 };
 
 class Worker {
 public:
-    explicit Worker(const WorkerConfig& config) : config_(config), pools_(config.threads) {}
+    explicit Worker(const WorkerConfig& config);
 
     /// Serves until it leaves, or is ended by stopping its io_context; the threads end with the
     /// Worker, which must go before the io_context. Throws UserError when the server refuses this
@@ -38,6 +41,7 @@ private:
     asio::awaitable<void> serve();
 
     WorkerConfig config_;
+    std::shared_ptr<BlobCache> cache_;  ///< null: none
     WorkerPools pools_;
     bool leaving_ = false;
     BlobStore
