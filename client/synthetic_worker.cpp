@@ -41,21 +41,25 @@ double cost_of(const TileTask& task, double spread) {
     return task.part == 0 ? whole : whole / quarters;
 }
 
-/// Appends pixels that depend on the task alone, and not on the number of the frame; packed, but no
-/// smaller for it.
+/// Appends pixels that depend on tile and pass alone, and not on the number of the frame or on how
+/// the tile is cut; packed, but no smaller for it.
 std::uint32_t append_pixels(const FrameSpec& spec, const TileTask& task, const Noise& noise,
                             Bytes& out) {
-    const std::size_t pixels = rect_of(spec.size, task).pixels();
+    const Rect tile = tile_rect(spec.size, task.tile), part = rect_of(spec.size, task);
     const std::size_t begin = out.size();
-    std::size_t from =
-        (task.tile * 769u + task.first_pass * 131u + task.part * 61u) % (noise.size() / 2);
+    std::size_t from = (task.tile * 769u + task.first_pass * 131u) % (noise.size() / 2);
     for (int c = 0; c < channel_count; ++c) {
         if (!tile_channels(spec).has(Channel(c))) continue;
-        const auto values = std::as_bytes(
-            std::span(noise).subspan(from, pixels * std::size_t(floats_per_pixel(Channel(c)))));
+        const auto floats = std::size_t(floats_per_pixel(Channel(c)));
         out.push_back(plain_channel);
-        out.insert(out.end(), values.begin(), values.end());
-        from += values.size() / sizeof(float);
+        for (int y = part.y0; y < part.y1; ++y) {
+            const int first = (y - tile.y0) * tile.width() + part.x0 - tile.x0;
+            const auto row = std::span(noise).subspan(from + floats * std::size_t(first),
+                                                      floats * std::size_t(part.width()));
+            const auto bytes = std::as_bytes(row);
+            out.insert(out.end(), bytes.begin(), bytes.end());
+        }
+        from += floats * tile.pixels();
     }
     return std::uint32_t(out.size() - begin);
 }
