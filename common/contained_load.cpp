@@ -7,7 +7,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstdlib>
 #include <cstring>
@@ -22,8 +21,6 @@ extern char** environ;
 
 namespace tessera {
 namespace {
-
-// ---- The parent ---------------------------------------------------------------------------------
 
 /// Everything but what is none of the child's business: tokens and keys.
 std::vector<char*> childs_environment() {

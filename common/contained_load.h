@@ -16,6 +16,7 @@
 
 namespace tessera {
 
+/// The name by which the child knows what it is there for.
 inline constexpr const char* reader_name = "tessera-load";
 
 struct LoadLimits {

@@ -122,7 +122,8 @@ float contrast_around(const TilePass& tile, std::span<const PixelSample> pixels,
 std::uint32_t rays_at_rim(float contrast, std::uint32_t passes) {
     constexpr float least = 16, most = 64;
     const float wanted = contrast / (visible * float(passes));
-    return std::bit_floor(std::uint32_t(std::clamp(wanted, least, most)));
+    // Of light that is not finite the contrast may be no number.
+    return std::bit_floor(std::uint32_t(wanted > least ? std::min(wanted, most) : least));
 }
 
 /// Sends more rays through the rims of lamps, where one ray finds all of a great radiance or

@@ -81,13 +81,16 @@ std::vector<bool> tiles_at_lamps(const FrameSpec& spec, const Pinhole& camera,
     for (std::size_t i = 0; i < lights.triangle_count(); ++i) {
         const WorldTriangle& lamp = lights.triangle(i);
         vec2 lo(infinity), hi(-infinity);
+        bool in_front = false;
         for (const vec3& p : {lamp.p0, lamp.p1, lamp.p2}) {
             const std::optional<vec2> at = camera.raster(p);
+            in_front = in_front || at;
             lo = at ? glm::min(lo, *at) : vec2(-infinity);
             hi = at ? glm::max(hi, *at) : vec2(infinity);
         }
         const auto [width, height] = spec.size;
-        if (!(hi.x > -1 && hi.y > -1 && lo.x < float(width) + 1 && lo.y < float(height) + 1))
+        if (!(in_front && hi.x > -1 && hi.y > -1 && lo.x < float(width) + 1 &&
+              lo.y < float(height) + 1))
             continue;
         for (int y = tile_at(lo.y, -1, height); y <= tile_at(hi.y, 1, height); ++y)
             for (int x = tile_at(lo.x, -1, width); x <= tile_at(hi.x, 1, width); ++x)
