@@ -1,5 +1,5 @@
 // tessera bench view: how long after a change of camera or scene its first picture is at the
-// viewer, on the embedded cluster; and what a change of the scene costs.
+// viewer, on the embedded cluster; and, for as long as is wanted, whether anything piles up.
 
 #include <fmt/format.h>
 
@@ -19,6 +19,7 @@
 #include "common/check.h"
 #include "common/clock.h"
 #include "common/contained_load.h"
+#include "common/process.h"
 
 namespace tessera {
 namespace {
@@ -32,6 +33,7 @@ struct ViewBenchOptions {
     CameraOptions camera;
     LocalClusterConfig cluster;
     int changes = 100;
+    double seconds = 0;
     std::string json;
 };
 
@@ -39,11 +41,24 @@ struct ViewBenchOptions {
 struct Latencies {
     std::vector<double> first;  ///< from the change to its first picture at the viewer
     std::vector<double> frame;  ///< of that, from the first tile handed out to the last one folded
+    std::size_t waiting = 1;    ///< changes whose picture was still to come, at most
 
     void add(Clock::time_point changed, const ShownPicture& shown) {
         first.push_back(seconds_since(changed));
         frame.push_back(shown.about.first_seconds);
     }
+    void add(const Latencies& other) {
+        first.insert(first.end(), other.first.begin(), other.first.end());
+        frame.insert(frame.end(), other.frame.begin(), other.frame.end());
+        waiting = std::max(waiting, other.waiting);
+    }
+};
+
+/// What all who take part hold: what piles up anywhere shows here.
+struct Footprint {
+    double at = 0;                                     ///< seconds
+    std::uint64_t server = 0, worker = 0, viewer = 0;  ///< bytes resident; of the largest worker
+    std::uint32_t frames = 0;                          ///< in flight
 };
 
 double quantile(std::vector<double> values, double q) {
@@ -92,8 +107,10 @@ public:
             client_.poll(std::chrono::milliseconds(1));
             const auto shown = client_.take_picture();
             if (!shown || !turned_at.contains(shown->about.stamp)) continue;
-            out.add(turned_at.at(shown->about.stamp), *shown);
-            turned_at.erase(shown->about.stamp);
+            out.waiting = std::max(out.waiting, turned_at.size());
+            const auto turned = turned_at.find(shown->about.stamp);
+            out.add(turned->second, *shown);
+            turned_at.erase(turned_at.begin(), std::next(turned));
         }
         return out;
     }
@@ -142,19 +159,58 @@ private:
     float offset_ = 0;
 };
 
-nlohmann::json report(const std::string& scene, const char* name, const Latencies& latencies) {
-    const double frame = quantile(latencies.frame, 0.5);
-    const double median = quantile(latencies.first, 0.5), p99 = quantile(latencies.first, 0.99);
-    fmt::print("{:<14} {:<8} {:>8.1f} {:>10.1f} {:>8.1f} {:>8.1f}\n", scene, name, 1e3 * frame,
-               1e3 * median, 1e3 * p99, 1e3 * quantile(latencies.first, 1));
-    return {{"scene", scene},
-            {"change", name},
-            {"frame_s", frame},
-            {"latency_first_s",
-             {{"p50", median},
-              {"p95", quantile(latencies.first, 0.95)},
-              {"p99", p99},
-              {"max", quantile(latencies.first, 1)}}}};
+Footprint footprint(RenderClient& client, Clock::time_point start) {
+    const Status status = client.status();
+    Footprint out{.at = seconds_since(start),
+                  .server = status.memory_bytes,
+                  .viewer = resident_bytes(),
+                  .frames = status.frames_in_flight};
+    for (const WorkerStatus& worker : status.workers)
+        out.worker = std::max(out.worker, worker.memory_bytes);
+    return out;
+}
+
+/// By kind of change.
+using Round = std::map<std::string, Latencies>;
+
+void print_round(const Round& round) {
+    for (const auto& [kind, latencies] : round)
+        fmt::print("{:<8} {:>8} {:>8.1f} {:>10.1f} {:>8.1f} {:>8.1f} {:>8}\n", kind,
+                   latencies.first.size(), 1e3 * quantile(latencies.frame, 0.5),
+                   1e3 * quantile(latencies.first, 0.5), 1e3 * quantile(latencies.first, 0.99),
+                   1e3 * quantile(latencies.first, 1), latencies.waiting);
+}
+
+void print(const Footprint& f) {
+    fmt::print(
+        "after {:.0f} s: server {:.1f} MB, worker {:.1f} MB, viewer {:.1f} MB, frames in flight "
+        "{}\n",
+        f.at, 1e-6 * double(f.server), 1e-6 * double(f.worker), 1e-6 * double(f.viewer), f.frames);
+    std::fflush(stdout);
+}
+
+nlohmann::json json_of(const std::string& scene, const Round& round) {
+    nlohmann::json results = nlohmann::json::array();
+    for (const auto& [kind, latencies] : round)
+        results.push_back({{"scene", scene},
+                           {"change", kind},
+                           {"changes", latencies.first.size()},
+                           {"frame_s", quantile(latencies.frame, 0.5)},
+                           {"latency_first_s",
+                            {{"p50", quantile(latencies.first, 0.5)},
+                             {"p95", quantile(latencies.first, 0.95)},
+                             {"p99", quantile(latencies.first, 0.99)},
+                             {"max", quantile(latencies.first, 1)}}},
+                           {"most_waiting", latencies.waiting}});
+    return results;
+}
+
+nlohmann::json json_of(const Footprint& f) {
+    return {{"at_s", f.at},
+            {"server_bytes", f.server},
+            {"worker_bytes", f.worker},
+            {"viewer_bytes", f.viewer},
+            {"frames_in_flight", f.frames}};
 }
 
 void run(const ViewBenchOptions& options) {
@@ -171,16 +227,30 @@ void run(const ViewBenchOptions& options) {
     client.share_scene(options.scene);
     client.watch(options.scene);
     ViewBench bench(options, client, camera);
-    fmt::print("{:<14} {:<8} {:>8} {:>10} {:>8} {:>8}   milliseconds\n", "scene", "change", "frame",
-               "to first", "p99", "max");
-    nlohmann::json results = nlohmann::json::array();
-    results.push_back(report(options.scene, "camera", bench.camera()));
-    results.push_back(report(options.scene, "drag", bench.drag()));
-    if (!loaded.bundle.scene.instances.empty())
-        results.push_back(report(options.scene, "object", bench.object()));
+
+    // Round after round, each of all kinds of changes, and what is held after each.
+    fmt::print("{}, milliseconds\n{:<8} {:>8} {:>8} {:>10} {:>8} {:>8} {:>8}\n", options.scene,
+               "change", "number", "frame", "to first", "p99", "max", "waiting");
+    Round all;
+    nlohmann::json rounds = nlohmann::json::array();
+    const auto start = Clock::now();
+    do {
+        Round round{{"camera", bench.camera()}, {"drag", bench.drag()}};
+        if (!loaded.bundle.scene.instances.empty()) round["object"] = bench.object();
+        print_round(round);
+        for (const auto& [kind, latencies] : round) all[kind].add(latencies);
+        const Footprint held = footprint(client, start);
+        print(held);
+        rounds.push_back({{"results", json_of(options.scene, round)}, {"held", json_of(held)}});
+    } while (seconds_since(start) < options.seconds);
+    if (rounds.size() > 1) {
+        fmt::print("all {} rounds\n", rounds.size());
+        print_round(all);
+    }
     if (options.json.empty()) return;
     std::ofstream out(options.json);
-    out << nlohmann::json{{"results", results}}.dump(2) << '\n';
+    out << nlohmann::json{{"results", json_of(options.scene, all)}, {"rounds", rounds}}.dump(2)
+        << '\n';
     if (!out.flush()) throw UserError(fmt::format("cannot write {}", options.json));
 }
 
@@ -196,6 +266,10 @@ void add_view_bench_command(CLI::App* bench) {
     command->add_option("--changes", options->changes, "of each kind")
         ->check(CLI::Range(2, 100000))
         ->capture_default_str();
+    command
+        ->add_option("--seconds", options->seconds,
+                     "begin again until so long has passed, and tell each time what is held")
+        ->check(CLI::Range(0.0, 1e6));
     command->add_option("--workers", options->cluster.workers, "worker processes")
         ->check(CLI::Range(1, 64))
         ->capture_default_str();
