@@ -108,6 +108,8 @@ void print_table(const Scene& scene) {
     for (const Camera& c : scene.cameras)
         fmt::print("camera    {:<24} eye={} at={} up={} fov={:g}\n", c.name, text(c.eye),
                    text(c.at), text(c.up), c.fov_y);
+    fmt::print("environment {:<22} radiance={} rotation={:g}\n", "",
+               text(scene.environment.radiance), scene.environment.rotation);
 }
 
 // ---- move, set, ... -----------------------------------------------------------------------------
@@ -138,6 +140,19 @@ void remove(Editor& editor, const EditOptions& options) {
         return editor.apply({DeleteLight{options.name}});
     find(editor.scene().instances, "instance or light", options.name);
     editor.apply({DeleteInstance{options.name}});
+}
+
+/// Edits in the form of a file of timed edits, at once.
+void apply_text(Editor& editor, const EditOptions& options) {
+    Scene scene = editor.scene();
+    std::vector<EditOperation> operations;
+    for (const std::string& text : options.assignments) {
+        const auto json = nlohmann::json::parse(text, nullptr, false);
+        if (!json.is_object()) throw UserError(fmt::format("`{}` is no JSON object", text));
+        operations.push_back(operation_of_json(json, scene));
+        scene = apply_edits(std::move(scene), {operations.back()}).scene;
+    }
+    editor.apply(operations);
 }
 
 void create(Editor& editor, const EditOptions& options) {
@@ -350,6 +365,11 @@ void add_edit_command(CLI::App& app) {
     add_vector(add_name(add("shift", "move an instance by so much",
                             [](Editor& e, const EditOptions& o) { move(e, o, true); })),
                "x,y,z in metres")
+        ->required();
+    add("apply", "any edits, at once", apply_text)
+        ->add_option("EDIT", options->assignments,
+                     "as in a file of timed edits: '{\"create object\": \"blue cup\", "
+                     "\"like\": \"red cup\", \"materials\": [\"blue\"]}'")
         ->required();
     CLI::App* setting = add("set", "change fields of a material, light or camera", set);
     setting->add_option("KIND", options->kind)

@@ -121,15 +121,81 @@ const T* find(const std::vector<T>& table, const std::string& name) {
     return found == table.end() ? nullptr : &*found;
 }
 
+template <class T>
+const T& entry_of(const std::vector<T>& table, const char* kind, const std::string& name) {
+    const T* found = find(table, name);
+    if (!found) complain("there is no {} '{}'", kind, name);
+    return *found;
+}
+
+/// Of a material, or of what changes one.
+template <class T>
+void read_material(Fields& fields, T& material) {
+    fields.read("base_color", material.base_color);
+    fields.read("metallic", material.metallic);
+    fields.read("roughness", material.roughness);
+    fields.read("emission", material.emission);
+    if (fields.has("shader")) material.shader = fields.text("shader");
+    if (auto parameters = fields.shader_parameters(); !parameters.empty())
+        material.shader_parameters = std::move(parameters);
+}
+
 EditOperation material_of(const std::string& name, const json& values) {
     SetMaterial edit{.material = name};
     Fields fields(values);
-    fields.read("base_color", edit.base_color);
-    fields.read("metallic", edit.metallic);
-    fields.read("roughness", edit.roughness);
-    fields.read("emission", edit.emission);
-    if (fields.has("shader")) edit.shader = fields.text("shader");
-    edit.shader_parameters = fields.shader_parameters();
+    read_material(fields, edit);
+    fields.check_all_read();
+    return edit;
+}
+
+EditOperation new_material_of(Fields& fields, const Scene& scene) {
+    Material material;
+    if (fields.has("like")) material = entry_of(scene.materials, "material", fields.text("like"));
+    material.name = fields.text("create material");
+    if (!fields.has("to")) return CreateMaterial{material};
+    Fields values(fields.at("to"));
+    read_material(values, material);
+    values.read("specular", material.specular);
+    values.read("ior", material.ior);
+    values.read("transmission", material.transmission);
+    values.check_all_read();
+    return CreateMaterial{material};
+}
+
+BlobId blob_id_of(const std::string& hex) {
+    BlobId id;
+    if (hex.size() != 2 * id.digest.size() ||
+        hex.find_first_not_of("0123456789abcdef") != std::string::npos)
+        complain("`{}` must be 64 hexadecimal digits", hex);
+    for (std::size_t i = 0; i < id.digest.size(); ++i)
+        id.digest[i] = std::uint8_t(std::stoul(hex.substr(2 * i, 2), nullptr, 16));
+    return id;
+}
+
+EditOperation new_object_of(Fields& fields, const Scene& scene) {
+    CreateObject edit{.object = fields.text("create object"), .mesh = {}, .materials = {}};
+    if (fields.has("mesh")) {
+        edit.mesh = blob_id_of(fields.text("mesh"));
+    } else {
+        const Object& model = entry_of(scene.objects, "object", fields.text("like"));
+        edit.mesh = scene.meshes[model.mesh];
+        for (const std::uint32_t m : model.materials)
+            edit.materials.push_back(scene.materials[m].name);
+    }
+    if (!fields.has("materials")) return edit;
+    edit.materials.clear();
+    for (const json& name : fields.at("materials")) {
+        if (!name.is_string()) complain("`materials` has {}, must have names", name.dump());
+        edit.materials.push_back(name.get<std::string>());
+    }
+    return edit;
+}
+
+EditOperation environment_of(const json& values) {
+    SetEnvironment edit;
+    Fields fields(values);
+    fields.read("radiance", edit.radiance);
+    fields.read("rotation", edit.rotation);
     fields.check_all_read();
     return edit;
 }
@@ -181,22 +247,23 @@ EditOperation set_camera_of(const std::string& name, const json& values, const S
 }
 
 EditOperation set_of(Fields& fields, const Scene& scene) {
-    const std::string kind = fields.text("set"), name = fields.text("name");
+    const std::string kind = fields.text("set");
     const json& values = fields.at("to");
+    if (kind == "environment") return environment_of(values);
+    const std::string name = fields.text("name");
     if (kind == "material") return material_of(name, values);
     if (kind == "light") return light_of(name, values);
     if (kind == "camera") return set_camera_of(name, values, scene);
-    complain("cannot set a `{}`: material, light or camera", kind);
+    complain("cannot set a `{}`: material, light, camera or environment", kind);
 }
 
 EditOperation move_of(Fields& fields, const Scene& scene) {
     const std::string name = fields.text("move");
-    const Instance* instance = find(scene.instances, name);
-    if (!instance) complain("there is no instance '{}'", name);
+    const Instance& instance = entry_of(scene.instances, "instance", name);
     fields.at("to");
     vec3 to(0);
     fields.read("to", to);
-    return moved(*instance, to);
+    return moved(instance, to);
 }
 
 EditOperation transform_of(Fields& fields) {
@@ -227,8 +294,14 @@ EditOperation operation_of(Fields& fields, const Scene& scene) {
         return new_light_of(fields.text("create light"), fields.at("to"));
     if (fields.has("delete")) return DeleteInstance{fields.text("delete")};
     if (fields.has("delete light")) return DeleteLight{fields.text("delete light")};
+    if (fields.has("create object")) return new_object_of(fields, scene);
+    if (fields.has("delete object")) return DeleteObject{fields.text("delete object")};
+    if (fields.has("create material")) return new_material_of(fields, scene);
+    if (fields.has("delete material")) return DeleteMaterial{fields.text("delete material")};
+    if (fields.has("delete camera")) return DeleteCamera{fields.text("delete camera")};
     complain(
-        "no edit: set, move, transform, create, create light, delete or delete light is wanted");
+        "no edit: set, move, transform, create or delete is wanted, the last two with nothing, "
+        "object, material, light or camera behind them");
 }
 
 json parse_file(const std::string& file) {
@@ -344,6 +417,8 @@ json json_of(const Scene& scene) {
                                  {"inner_angle", l.inner_angle},
                                  {"outer_angle", l.outer_angle}});
     for (const Camera& c : scene.cameras) out["cameras"].push_back(json_of(c));
+    out["environment"] = {{"radiance", json_of(scene.environment.radiance)},
+                          {"rotation", scene.environment.rotation}};
     return out;
 }
 
@@ -379,12 +454,17 @@ json write(const CreateInstance& e) {
     return {{"create", e.instance}, {"object", e.object}, {"to", numbers_of(e.world_from_object)}};
 }
 json write(const DeleteInstance& e) { return {{"delete", e.instance}}; }
+void set(json& fields, const std::vector<ShaderParameter>& parameters) {
+    for (const ShaderParameter& p : parameters) fields["shader." + p.name] = json_of(p.value);
+}
 json write(const SetMaterial& e) {
     json to = json::object();
     set(to, "base_color", e.base_color);
     set(to, "metallic", e.metallic);
     set(to, "roughness", e.roughness);
     set(to, "emission", e.emission);
+    set(to, "shader", e.shader);
+    set(to, e.shader_parameters);
     return {{"set", "material"}, {"name", e.material}, {"to", to}};
 }
 json write(const SetLight& e) {
@@ -402,6 +482,27 @@ json write(const CreateLight& e) {
 json write(const DeleteLight& e) { return {{"delete light", e.light}}; }
 json write(const SetCamera& e) {
     return {{"set", "camera"}, {"name", e.camera.name}, {"to", fields_of(e.camera)}};
+}
+json write(const CreateObject& e) {
+    return {{"create object", e.object}, {"mesh", full_name(e.mesh)}, {"materials", e.materials}};
+}
+json write(const DeleteObject& e) { return {{"delete object", e.object}}; }
+json write(const CreateMaterial& e) {
+    json to = json_of(e.material);
+    to.erase("name");
+    to["specular"] = e.material.specular;
+    to["ior"] = e.material.ior;
+    to["transmission"] = e.material.transmission;
+    set(to, e.material.shader_parameters);
+    return {{"create material", e.material.name}, {"to", to}};
+}
+json write(const DeleteMaterial& e) { return {{"delete material", e.material}}; }
+json write(const DeleteCamera& e) { return {{"delete camera", e.camera}}; }
+json write(const SetEnvironment& e) {
+    json to = json::object();
+    set(to, "radiance", e.radiance);
+    set(to, "rotation", e.rotation);
+    return {{"set", "environment"}, {"to", to}};
 }
 json write(const SetShape& e) { complain("the vertices of '{}' cannot be written", e.object); }
 

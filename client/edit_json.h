@@ -8,10 +8,17 @@
 //       {"transform": "book", "to": [16 numbers, column by column]},
 //       {"create": "cup 2", "object": "red cup", "to": [1, 0.7, 2]},
 //       {"create light": "spot", "to": {"kind": "spot", "position": [0, 3, 0]}},
-//       {"delete": "chair"}, {"delete light": "sun"}]},
+//       {"create material": "blue", "like": "oak", "to": {"base_color": [0.1, 0.1, 0.8]}},
+//       {"create object": "blue cup", "like": "red cup", "materials": ["blue"]},
+//       {"set": "environment", "to": {"radiance": [0.5, 0.6, 0.8]}},
+//       {"delete": "chair"}, {"delete light": "sun"}, {"delete camera": "door"},
+//       {"delete object": "chair"}, {"delete material": "oak"}]},
 //    {"time": 0.7, "view": {"eye": [0, 1, 3], "at": [0, 1, 0], "up": [0, 1, 0], "fov": 45}}, ...]
 //
 // with times in seconds from the start, in order. What "create" has in "to" may be 16 numbers, too.
+// A new object has the mesh of the one that it is like (or "mesh": 64 hexadecimal digits, of the
+// scene), and its materials unless it says others; a new material all that the other has, with its
+// textures, unless it says otherwise.
 // A "view" is where somebody looks from then on; `tessera record` and the viewer write such files.
 #pragma once
 
@@ -44,7 +51,7 @@ nlohmann::json json_of(const vec3& v);
 nlohmann::json json_of(const Material& material);
 nlohmann::json json_of(const Camera& camera);
 nlohmann::json json_of(const Scene& scene);
-/// As they are read. SetShape, which names a blob, cannot be written.
+/// As they are read, but for textures of new materials. SetShape cannot be written.
 nlohmann::json json_of(const EditOperation& operation);
 nlohmann::json json_of(const TimedEdit& edit);
 

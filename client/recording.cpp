@@ -37,6 +37,19 @@ std::optional<T> if_changed(const T& before, const T& after) {
     return before == after ? std::nullopt : std::optional(after);
 }
 
+std::vector<ShaderParameter> changed(const std::vector<ShaderParameter>& before,
+                                     std::vector<ShaderParameter> after) {
+    std::erase_if(after,
+                  [&](const ShaderParameter& p) { return std::ranges::count(before, p) > 0; });
+    return after;
+}
+
+std::vector<std::string> material_names(const Object& object, const Scene& scene) {
+    std::vector<std::string> names;
+    for (const std::uint32_t m : object.materials) names.push_back(scene.materials[m].name);
+    return names;
+}
+
 CreateInstance creation(const Instance& instance, const Scene& scene) {
     return {.instance = instance.name,
             .object = scene.objects[instance.object].name,
@@ -48,6 +61,28 @@ CreateInstance creation(const Instance& instance, const Scene& scene) {
 SceneChanges changes_between(const Scene& before, const Scene& after) {
     SceneChanges out;
     std::vector<EditOperation>& edits = out.operations;
+    std::vector<EditOperation> deletions;  // of what others may use until they are gone
+    compare(
+        before.materials, after.materials,
+        [&](const Material& m) { deletions.push_back(DeleteMaterial{m.name}); },
+        [&](const Material& m) { edits.push_back(CreateMaterial{m}); },
+        [&](const Material& was, const Material& is) {
+            edits.push_back(SetMaterial{
+                .material = is.name,
+                .base_color = if_changed(was.base_color, is.base_color),
+                .metallic = if_changed(was.metallic, is.metallic),
+                .roughness = if_changed(was.roughness, is.roughness),
+                .emission = if_changed(was.emission, is.emission),
+                .shader = if_changed(was.shader, is.shader),
+                .shader_parameters = changed(was.shader_parameters, is.shader_parameters)});
+        });
+    compare(
+        before.objects, after.objects,
+        [&](const Object& o) { deletions.insert(deletions.begin(), DeleteObject{o.name}); },
+        [&](const Object& o) {
+            edits.push_back(CreateObject{o.name, after.meshes[o.mesh], material_names(o, after)});
+        },
+        [](const Object&, const Object&) {});
     compare(
         before.instances, after.instances,
         [&](const Instance& i) { edits.push_back(DeleteInstance{i.name}); },
@@ -57,15 +92,6 @@ SceneChanges changes_between(const Scene& before, const Scene& after) {
                 return edits.push_back(SetTransform{is.name, is.world_from_object});
             edits.push_back(DeleteInstance{is.name});
             edits.push_back(creation(is, after));
-        });
-    compare(
-        before.materials, after.materials, [](const Material&) {}, [](const Material&) {},
-        [&](const Material& was, const Material& is) {
-            edits.push_back(SetMaterial{.material = is.name,
-                                        .base_color = if_changed(was.base_color, is.base_color),
-                                        .metallic = if_changed(was.metallic, is.metallic),
-                                        .roughness = if_changed(was.roughness, is.roughness),
-                                        .emission = if_changed(was.emission, is.emission)});
         });
     compare(
         before.lights, after.lights, [&](const Light& l) { edits.push_back(DeleteLight{l.name}); },
@@ -84,8 +110,13 @@ SceneChanges changes_between(const Scene& before, const Scene& after) {
         });
     const auto keep = [&](const Camera& c) { edits.push_back(SetCamera{c}); };
     compare(
-        before.cameras, after.cameras, [](const Camera&) {}, keep,
+        before.cameras, after.cameras,
+        [&](const Camera& c) { edits.push_back(DeleteCamera{c.name}); }, keep,
         [&](const Camera&, const Camera& is) { keep(is); });
+    if (before.environment != after.environment)
+        edits.push_back(SetEnvironment{.radiance = after.environment.radiance,
+                                       .rotation = after.environment.rotation});
+    edits.insert(edits.end(), deletions.begin(), deletions.end());
     out.shapes = before.shapes != after.shapes;
     return out;
 }

@@ -9,8 +9,9 @@
 
 namespace tessera {
 
-/// Edits that make `before` what `after` is, by name. What edits cannot do is left out: new objects
-/// and materials, and vertices that move, of which `shapes` counts those that did.
+/// Edits that make `before` what `after` is, by name. Vertices that move are left out; `shapes`
+/// counts how often they did. An object
+/// that has become another one of the same name stays as it was.
 struct SceneChanges {
     std::vector<EditOperation> operations;
     int shapes = 0;

@@ -450,14 +450,14 @@ void RenderClient::send_edit(const std::string& scene, std::vector<EditOperation
     SceneEdit edit{++state_->last_request, scene, std::move(operations)};
     const auto payload = std::make_shared<Bytes>();
     for (const EditOperation& operation : edit.operations) {
-        const auto* shaped = std::get_if<SetShape>(&operation);
-        const auto blob = shaped ? blobs.find(shaped->shape) : nullptr;
+        const auto named = blob_of(operation);
+        const auto blob = named ? blobs.find(*named) : nullptr;
         if (!blob) continue;
         edit.blob_bytes.push_back(blob->size());
         payload->insert(payload->end(), blob->begin(), blob->end());
     }
     if (payload->size() > max_payload_bytes)
-        throw UserError(fmt::format("meshes that deform take {} MB, an edit carries {} at most",
+        throw UserError(fmt::format("meshes of one edit take {} MB, it carries {} at most",
                                     payload->size() >> 20, max_payload_bytes >> 20));
     state_->connection->send({std::move(edit), {payload, *payload}});
 }

@@ -599,6 +599,44 @@ void unpack(const wire::SetCamera& in, SetCamera& v) {
     unpack(in.camera(), v.camera);
 }
 
+void pack(const CreateObject& v, wire::CreateObject& out) {
+    out.set_object(v.object);
+    pack(v.mesh, *out.mutable_mesh());
+    pack_texts(v.materials, *out.mutable_materials());
+}
+void unpack(const wire::CreateObject& in, CreateObject& v) {
+    require_set(in.has_mesh(), "mesh");
+    v.object = in.object();
+    unpack(in.mesh(), v.mesh);
+    v.materials = unpack_texts(in.materials());
+}
+
+void pack(const DeleteObject& v, wire::DeleteObject& out) { out.set_object(v.object); }
+void unpack(const wire::DeleteObject& in, DeleteObject& v) { v.object = in.object(); }
+
+void pack(const CreateMaterial& v, wire::CreateMaterial& out) {
+    pack(v.material, *out.mutable_material());
+}
+void unpack(const wire::CreateMaterial& in, CreateMaterial& v) {
+    require_set(in.has_material(), "material");
+    unpack(in.material(), v.material);
+}
+
+void pack(const DeleteMaterial& v, wire::DeleteMaterial& out) { out.set_material(v.material); }
+void unpack(const wire::DeleteMaterial& in, DeleteMaterial& v) { v.material = in.material(); }
+
+void pack(const DeleteCamera& v, wire::DeleteCamera& out) { out.set_camera(v.camera); }
+void unpack(const wire::DeleteCamera& in, DeleteCamera& v) { v.camera = in.camera(); }
+
+void pack(const SetEnvironment& v, wire::SetEnvironment& out) {
+    if (v.radiance) pack(*v.radiance, *out.mutable_radiance());
+    if (v.rotation) out.set_rotation(*v.rotation);
+}
+void unpack(const wire::SetEnvironment& in, SetEnvironment& v) {
+    v.radiance = optional_of(in.has_radiance(), in.radiance());
+    v.rotation = optional_of(in.has_rotation(), in.rotation());
+}
+
 void pack(const EditOperation& v, wire::EditOperation& out) {
     struct Packer {
         wire::EditOperation& out;
@@ -611,6 +649,12 @@ void pack(const EditOperation& v, wire::EditOperation& out) {
         void operator()(const DeleteLight& e) { pack(e, *out.mutable_delete_light()); }
         void operator()(const SetCamera& e) { pack(e, *out.mutable_set_camera()); }
         void operator()(const SetShape& e) { pack(e, *out.mutable_set_shape()); }
+        void operator()(const CreateObject& e) { pack(e, *out.mutable_create_object()); }
+        void operator()(const DeleteObject& e) { pack(e, *out.mutable_delete_object()); }
+        void operator()(const CreateMaterial& e) { pack(e, *out.mutable_create_material()); }
+        void operator()(const DeleteMaterial& e) { pack(e, *out.mutable_delete_material()); }
+        void operator()(const DeleteCamera& e) { pack(e, *out.mutable_delete_camera()); }
+        void operator()(const SetEnvironment& e) { pack(e, *out.mutable_set_environment()); }
     };
     std::visit(Packer{out}, v);
 }
@@ -635,6 +679,18 @@ void unpack(const wire::EditOperation& in, EditOperation& v) {
             return unpack(in.set_camera(), v.emplace<SetCamera>());
         case Wire::kSetShape:
             return unpack(in.set_shape(), v.emplace<SetShape>());
+        case Wire::kCreateObject:
+            return unpack(in.create_object(), v.emplace<CreateObject>());
+        case Wire::kDeleteObject:
+            return unpack(in.delete_object(), v.emplace<DeleteObject>());
+        case Wire::kCreateMaterial:
+            return unpack(in.create_material(), v.emplace<CreateMaterial>());
+        case Wire::kDeleteMaterial:
+            return unpack(in.delete_material(), v.emplace<DeleteMaterial>());
+        case Wire::kDeleteCamera:
+            return unpack(in.delete_camera(), v.emplace<DeleteCamera>());
+        case Wire::kSetEnvironment:
+            return unpack(in.set_environment(), v.emplace<SetEnvironment>());
         case Wire::OPERATION_NOT_SET:
             refuse("operation is not set");
     }

@@ -46,6 +46,17 @@ public:
         entries_.pop_back();
         index_.clear();
     }
+    /// The same, when others point into the table: those at its end follow it to its new place.
+    /// Throws std::runtime_error when one points to what shall go.
+    template <class References>
+    void remove(const std::string& name, const References& references) {
+        const std::uint32_t place = index(name), last = std::uint32_t(entries_.size() - 1);
+        if (std::ranges::count(references, place, [](auto* r) { return *r; }) > 0)
+            throw std::runtime_error(fmt::format("the {} '{}' is in use", kind_, name));
+        for (auto* reference : references)
+            if (*reference == last) *reference = place;
+        remove(name);
+    }
 
 private:
     const char* kind_;
@@ -117,8 +128,7 @@ void set(Material& material, const ShaderParameter& parameter) {
 class Editor {
 public:
     explicit Editor(Scene& scene)
-        : shapes_(scene.shapes),
-          all_objects_(scene.objects),
+        : scene_(scene),
           objects_("object", scene.objects),
           instances_("instance", scene.instances),
           materials_("material", scene.materials),
@@ -142,6 +152,43 @@ public:
     }
 
     void apply(const DeleteInstance& edit) { instances_.remove(edit.instance); }
+
+    void apply(const CreateObject& edit) {
+        require(!edit.materials.empty(), "the new object needs a material");
+        Object object{.name = edit.object, .mesh = mesh_index(edit.mesh), .materials = {}};
+        for (const std::string& material : edit.materials)
+            object.materials.push_back(materials_.index(material));
+        objects_.add(object);
+        if (object.mesh == scene_.meshes.size()) scene_.meshes.push_back(edit.mesh);
+    }
+
+    void apply(const DeleteObject& edit) {
+        std::vector<std::uint32_t*> references;
+        for (Instance& instance : scene_.instances) references.push_back(&instance.object);
+        const Object object = objects_.at(edit.object);
+        objects_.remove(edit.object, references);
+        drop_if_unused(scene_.meshes, object.mesh, &Object::mesh);
+        if (object.shape >= 0) drop_if_unused(scene_.shapes, object.shape, &Object::shape);
+    }
+
+    void apply(const CreateMaterial& edit) {
+        const Material& m = edit.material;
+        require_valid(m);
+        require(within(m.specular, 0, 1) && within(m.transmission, 0, 1) && within(m.alpha, 0, 1),
+                "specular, transmission and alpha must be 0 to 1");
+        Scene alone;
+        alone.textures = scene_.textures;
+        alone.materials = {m};
+        validate(alone);
+        materials_.add(m);
+    }
+
+    void apply(const DeleteMaterial& edit) {
+        std::vector<std::uint32_t*> references;
+        for (Object& object : scene_.objects)
+            for (std::uint32_t& material : object.materials) references.push_back(&material);
+        materials_.remove(edit.material, references);
+    }
 
     void apply(const SetMaterial& edit) {
         Material& held = materials_.at(edit.material);
@@ -187,20 +234,47 @@ public:
             cameras_.add(edit.camera);
     }
 
+    void apply(const DeleteCamera& edit) { cameras_.remove(edit.camera); }
+
+    void apply(const SetEnvironment& edit) {
+        Environment environment = scene_.environment;
+        set(environment.radiance, edit.radiance);
+        set(environment.rotation, edit.rotation);
+        require(within(environment.radiance, 0, std::numeric_limits<float>::max()),
+                "the environment's radiance must not be negative");
+        require(std::isfinite(environment.rotation), "the environment's rotation must be finite");
+        scene_.environment = environment;
+    }
+
     void apply(const SetShape& edit) {
         Object& object = objects_.at(edit.object);
         const auto uses = [&](const Object& other) { return other.shape == object.shape; };
-        if (object.shape >= 0 && std::ranges::count_if(all_objects_, uses) == 1) {
-            shapes_[std::size_t(object.shape)] = edit.shape;
+        if (object.shape >= 0 && std::ranges::count_if(scene_.objects, uses) == 1) {
+            scene_.shapes[std::size_t(object.shape)] = edit.shape;
         } else {
-            object.shape = std::int32_t(shapes_.size());
-            shapes_.push_back(edit.shape);
+            object.shape = std::int32_t(scene_.shapes.size());
+            scene_.shapes.push_back(edit.shape);
         }
     }
 
 private:
-    std::vector<BlobId>& shapes_;
-    const std::vector<Object>& all_objects_;
+    /// Of that mesh; of the one to be added, when it is new.
+    std::uint32_t mesh_index(const BlobId& mesh) const {
+        return std::uint32_t(std::ranges::find(scene_.meshes, mesh) - scene_.meshes.begin());
+    }
+
+    /// The last blob takes the place.
+    template <class Index>
+    void drop_if_unused(std::vector<BlobId>& table, Index place, Index Object::*index) {
+        if (std::ranges::count(scene_.objects, place, index) > 0) return;
+        const auto last = Index(table.size() - 1);
+        for (Object& object : scene_.objects)
+            if (object.*index == last) object.*index = place;
+        table[std::size_t(place)] = table.back();
+        table.pop_back();
+    }
+
+    Scene& scene_;
     NamedTable<Object> objects_;
     NamedTable<Instance> instances_;
     NamedTable<Material> materials_;
@@ -231,6 +305,12 @@ std::optional<std::string> complaint_about(const EditOperation& operation, Edito
 }
 
 }  // namespace
+
+std::optional<BlobId> blob_of(const EditOperation& operation) {
+    if (const auto* shaped = std::get_if<SetShape>(&operation)) return shaped->shape;
+    if (const auto* created = std::get_if<CreateObject>(&operation)) return created->mesh;
+    return std::nullopt;
+}
 
 EditedScene apply_edits(Scene scene, const std::vector<EditOperation>& operations) {
     EditedScene out{.scene = std::move(scene), .complaints = {}};

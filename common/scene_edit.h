@@ -33,6 +33,31 @@ struct DeleteInstance {
 
     bool operator==(const DeleteInstance&) const = default;
 };
+/// The mesh must be in the scene or at hand, and have a material for each of its slots.
+struct CreateObject {
+    std::string object;  ///< a new name
+    BlobId mesh;
+    std::vector<std::string> materials;  ///< of each slot
+
+    bool operator==(const CreateObject&) const = default;
+};
+/// Not while there is an instance of it.
+struct DeleteObject {
+    std::string object;
+
+    bool operator==(const DeleteObject&) const = default;
+};
+struct CreateMaterial {
+    Material material;  ///< with a new name; its textures are those of the scene
+
+    bool operator==(const CreateMaterial&) const = default;
+};
+/// Not while an object has it.
+struct DeleteMaterial {
+    std::string material;
+
+    bool operator==(const DeleteMaterial&) const = default;
+};
 /// What is not set stays as it is.
 struct SetMaterial {
     std::string material;
@@ -72,6 +97,18 @@ struct SetCamera {
 
     bool operator==(const SetCamera&) const = default;
 };
+struct DeleteCamera {
+    std::string camera;
+
+    bool operator==(const DeleteCamera&) const = default;
+};
+/// What is not set stays as it is; a picture of it, too.
+struct SetEnvironment {
+    std::optional<vec3> radiance{};
+    std::optional<float> rotation{};
+
+    bool operator==(const SetEnvironment&) const = default;
+};
 
 /// Puts an object's vertices elsewhere. The blob must be at hand and a shape for the object's mesh.
 struct SetShape {
@@ -81,8 +118,13 @@ struct SetShape {
     bool operator==(const SetShape&) const = default;
 };
 
-using EditOperation = std::variant<SetTransform, CreateInstance, DeleteInstance, SetMaterial,
-                                   SetLight, CreateLight, DeleteLight, SetCamera, SetShape>;
+using EditOperation =
+    std::variant<SetTransform, CreateInstance, DeleteInstance, SetMaterial, SetLight, CreateLight,
+                 DeleteLight, SetCamera, SetShape, CreateObject, DeleteObject, CreateMaterial,
+                 DeleteMaterial, DeleteCamera, SetEnvironment>;
+
+/// The blob that the operation names, which the scene may not hold yet.
+std::optional<BlobId> blob_of(const EditOperation& operation);
 
 struct EditedScene {
     Scene scene;

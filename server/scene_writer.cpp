@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <map>
 #include <utility>
 
 #include "common/check.h"
@@ -21,29 +22,72 @@ Scene with_unique_names(Scene scene) {
     return scene;
 }
 
-/// Whether the shape is one for the mesh of its object. An object that is not there is complained
-/// of elsewhere.
-bool fits(const SetShape& edit, const Scene& scene, const BlobStore& blobs) {
-    const auto object = std::ranges::find(scene.objects, edit.object, &Object::name);
-    if (object == scene.objects.end()) return true;
-    const auto mesh = blobs.find(scene.meshes[object->mesh]), shape = blobs.find(edit.shape);
-    if (!mesh || !shape) return false;
+bool is_shape_for(const BlobId& mesh, const BlobId& shape, const BlobStore& blobs) {
+    const auto whole = blobs.find(mesh), moved = blobs.find(shape);
+    if (!whole || !moved) return false;
     try {
-        return decode_shape(*shape).positions.size() == vertex_count(*mesh);
+        return decode_shape(*moved).positions.size() == vertex_count(*whole);
     } catch (const std::runtime_error&) {
         return false;
     }
 }
 
-/// Takes out what cannot be done for want of a fitting shape.
+bool is_mesh_for(std::size_t materials, const BlobId& mesh, const BlobStore& blobs) {
+    const auto blob = blobs.find(mesh);
+    if (!blob) return false;
+    try {
+        const Mesh decoded = decode_mesh(*blob);
+        return decoded.slots.empty() || std::ranges::max(decoded.slots) < materials;
+    } catch (const std::runtime_error&) {
+        return false;
+    }
+}
+
+/// Finds what cannot be done for want of a fitting mesh or shape; looks at operations in order.
+class Misfits {
+public:
+    Misfits(const Scene& scene, const BlobStore& blobs) : scene_(scene), blobs_(blobs) {}
+
+    /// A sentence, or nothing.
+    std::optional<std::string> about(const EditOperation& operation) {
+        if (const auto* edit = std::get_if<CreateObject>(&operation)) {
+            if (!is_mesh_for(edit->materials.size(), edit->mesh, blobs_))
+                return fmt::format("'{}': that is no mesh with a material for each slot",
+                                   edit->object);
+            created_.emplace(edit->object, edit->mesh);
+        }
+        if (const auto* edit = std::get_if<SetShape>(&operation); edit && !fits(*edit))
+            return fmt::format("'{}': that is no shape for it", edit->object);
+        return std::nullopt;
+    }
+
+private:
+    /// Whether the shape is one for every mesh that an object of that name has or may get. One that
+    /// is not there is complained of elsewhere.
+    bool fits(const SetShape& edit) const {
+        const auto object = std::ranges::find(scene_.objects, edit.object, &Object::name);
+        if (object != scene_.objects.end() &&
+            !is_shape_for(scene_.meshes[object->mesh], edit.shape, blobs_))
+            return false;
+        const auto [first, last] = created_.equal_range(edit.object);
+        return std::all_of(first, last, [&](const auto& created) {
+            return is_shape_for(created.second, edit.shape, blobs_);
+        });
+    }
+
+    const Scene& scene_;
+    const BlobStore& blobs_;
+    std::multimap<std::string, BlobId> created_;  ///< objects, and their meshes
+};
+
 Complaints take_out_misfits(std::vector<EditOperation>& operations, const Scene& scene,
                             const BlobStore& blobs) {
     Complaints complaints;
+    Misfits misfits(scene, blobs);
     std::erase_if(operations, [&](const EditOperation& operation) {
-        const auto* edit = std::get_if<SetShape>(&operation);
-        if (!edit || fits(*edit, scene, blobs)) return false;
-        complaints.push_back(fmt::format("'{}': that is no shape for it", edit->object));
-        return true;
+        const auto problem = misfits.about(operation);
+        if (problem) complaints.push_back(*problem);
+        return problem.has_value();
     });
     return complaints;
 }

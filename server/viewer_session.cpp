@@ -224,6 +224,14 @@ void ViewerSession::edit(const SceneEdit& edit, const BlobStore& brought, SceneS
         result.complaints = {no_open_scene(edit.scene, store)};
         return connection_->send({std::move(result), {}});
     }
+    if (brought.size() > 0) {
+        SceneBundle grown{.scene = {}, .blobs = scene->now.blobs};
+        grown.blobs.merge(brought);
+        if (const std::string objection = objection_to_scene(limits_, grown); !objection.empty()) {
+            result.complaints = {objection};
+            return connection_->send({std::move(result), {}});
+        }
+    }
     ++unwritten_;
     writer.edit(scene, edit.operations, brought,
                 [self = shared_from_this(), scene, result](const Complaints& complaints) mutable {

@@ -124,6 +124,13 @@ grep -q 'short block *at 0.1,0,0.2' "$work/out" || fail "the block has not moved
 grep -q 'white *base_color=0.5,0.6,0.7 metallic=0 roughness=0.5' "$work/out" || fail "white has not changed"
 echo '[{"edits": [{"create": "third", "object": "short block"}]}, {"time": 0.1, "edits": [{"delete": "third"}]}]' >"$work/edits.json"
 expect_ok "edit play" edit play "$work/edits.json"
+expect_ok "edit apply" edit apply '{"create material": "blue", "like": "white", "to": {"base_color": [0, 0, 1]}}' \
+    '{"create object": "blue block", "like": "short block", "materials": ["blue"]}' '{"create": "new", "object": "blue block"}' \
+    '{"set": "environment", "to": {"radiance": [0.1, 0.2, 0.3]}}'
+edit list >"$work/out"
+grep -q "new *at 0,0,0 *object 'blue block'" "$work/out" || fail "there is no blue block"
+grep -q 'environment *radiance=0.1,0.2,0.3' "$work/out" || fail "there is no light from outside"
+expect_error "in use" edit apply '{"delete object": "blue block"}'
 expect_error "nobody" edit move nobody 0,0,0
 expect_error "no material 'nobody'" edit set material nobody roughness=1
 expect_error "roughness must be" edit set material white roughness=2

@@ -349,7 +349,7 @@ private:
     std::optional<vec3> maybe_vector() { return coin() ? std::optional(vector()) : std::nullopt; }
     std::optional<float> maybe_real() { return coin() ? std::optional(real()) : std::nullopt; }
     EditOperation make_one(const EditOperation&) {
-        switch (below(9)) {
+        switch (below(15)) {
             case 0:
                 return SetTransform{name(), transform()};
             case 1:
@@ -373,6 +373,18 @@ private:
                 return DeleteLight{name()};
             case 7:
                 return SetShape{name(), blob()};
+            case 8:
+                return CreateObject{name(), blob(), names()};
+            case 9:
+                return DeleteObject{name()};
+            case 10:
+                return CreateMaterial{make_one(Material{})};
+            case 11:
+                return DeleteMaterial{name()};
+            case 12:
+                return DeleteCamera{name()};
+            case 13:
+                return SetEnvironment{maybe_vector(), maybe_real()};
             default:
                 return SetCamera{make_one(Camera{})};
         }

@@ -5,6 +5,7 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
 #include <random>
 #include <set>
 
@@ -30,7 +31,7 @@ public:
     explicit RandomEdits(unsigned seed) : random_(seed) {}
 
     EditOperation one() {
-        switch (below(9)) {
+        switch (below(15)) {
             case 0:
                 return SetTransform{name(), transform()};
             case 1:
@@ -47,6 +48,18 @@ public:
                 return DeleteLight{name()};
             case 7:
                 return SetShape{below(2) ? "chair" : name(), blob_id({})};
+            case 8:
+                return CreateObject{name(), blob_id({}), {"red", below(4) ? "lamp" : name()}};
+            case 9:
+                return DeleteObject{below(2) ? "desk" : name()};
+            case 10:
+                return CreateMaterial{{.name = name(), .base_color = vector(), .ior = real()}};
+            case 11:
+                return DeleteMaterial{below(2) ? "red" : name()};
+            case 12:
+                return DeleteCamera{name()};
+            case 13:
+                return SetEnvironment{vector(), real()};
             default:
                 return SetCamera{{.name = name(), .eye = vector(), .at = vector()}};
         }
@@ -163,13 +176,56 @@ TEST(SceneEdit, unknown_and_taken_names_are_told) {
         SetMaterial{.material = "nobody"},
         SetLight{.light = "nobody"},
         CreateLight{.light = {.name = "sun"}},
-        DeleteLight{.light = "nobody"}};
+        DeleteLight{.light = "nobody"},
+        DeleteObject{.object = "chair"},
+        DeleteMaterial{.material = "red"},
+        CreateObject{.object = "chair", .mesh = {}, .materials = {"red"}},
+        CreateObject{.object = "stool", .mesh = {}, .materials = {"nobody"}},
+        CreateObject{.object = "stool", .mesh = {}, .materials = {}},
+        CreateMaterial{.material = {.name = "lamp"}},
+        CreateMaterial{.material = {.name = "picture", .base_color_map = {.texture = 0}}},
+        DeleteCamera{.camera = "nobody"},
+        SetEnvironment{.radiance = vec3(-1)}};
     const EditedScene edited = apply_edits(small_scene(), impossible);
     EXPECT_EQ(edited.scene, small_scene());
     ASSERT_EQ(edited.complaints.size(), impossible.size());
     EXPECT_EQ(edited.complaints[0], "there is no instance 'nobody'");
     EXPECT_EQ(edited.complaints[2], "the instance 'a' exists already");
     EXPECT_EQ(edited.complaints[6], "the light 'sun' exists already");
+    EXPECT_EQ(edited.complaints[8], "the object 'chair' is in use");
+}
+
+/// By name: what each instance looks like.
+std::map<std::string, std::vector<std::string>> looks(const Scene& scene) {
+    std::map<std::string, std::vector<std::string>> out;
+    for (const Instance& instance : scene.instances) {
+        const Object& object = scene.objects[instance.object];
+        out[instance.name] = {object.name};
+        for (const std::uint32_t m : object.materials)
+            out[instance.name].push_back(scene.materials[m].name);
+    }
+    return out;
+}
+
+TEST(SceneEdit, what_is_made_and_taken_away_leaves_all_others_as_they_look) {
+    const std::vector<std::byte> mesh(1);
+    Scene scene = apply_edits(small_scene(), {CreateMaterial{{.name = "blue"}},
+                                              CreateObject{"stool", blob_id(mesh), {"blue"}},
+                                              CreateInstance{"e", "stool"}})
+                      .scene;
+    auto expected = looks(small_scene());
+    expected["e"] = {"stool", "blue"};
+    EXPECT_EQ(looks(scene), expected);
+    EXPECT_EQ(scene.meshes.size(), 2u);
+    // The last object and material take the places of those that go.
+    const EditedScene less = apply_edits(scene, {DeleteObject{"desk"}, DeleteMaterial{"lamp"}});
+    EXPECT_TRUE(less.complaints.empty());
+    EXPECT_EQ(looks(less.scene), expected);
+    EXPECT_EQ(less.scene.objects.size(), 2u);
+    EXPECT_EQ(less.scene.meshes, scene.meshes);
+    const EditedScene least = apply_edits(less.scene, {DeleteInstance{"e"}, DeleteObject{"stool"}});
+    EXPECT_EQ(least.scene.meshes, small_scene().meshes);
+    EXPECT_EQ(less.scene.materials.size(), 2u);
 }
 
 TEST(SceneEdit, deleting_an_instance_changes_one_entry_at_most) {

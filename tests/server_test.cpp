@@ -792,6 +792,34 @@ TEST(Server, shapes_come_with_their_edits_and_reach_the_workers) {
     });
 }
 
+TEST(Server, objects_come_with_their_meshes) {
+    Host host;
+    host.server.add_scene("scene", small_scene(1));
+    host.run([&]() -> asio::awaitable<void> {
+        start_worker(host);
+        const auto viewer = co_await join(host, Role::viewer);
+        const auto create = [&](Bytes bytes) -> asio::awaitable<EditResult> {
+            const auto mesh = std::make_shared<const Bytes>(std::move(bytes));
+            SceneEdit edit{7,
+                           "scene",
+                           {CreateObject{"new", blob_id(*mesh), {"material 0"}},
+                            CreateInstance{"first", "new"}, SetShape{"new", blob_id(*mesh)}},
+                           {mesh->size()}};
+            viewer->send({std::move(edit), {mesh, *mesh}});
+            const Message message = co_await receive<EditResult>(viewer);
+            co_return *message.get<EditResult>();
+        };
+        const EditResult refused = co_await create(Bytes(100));
+        EXPECT_EQ(refused.version, 1u);
+        EXPECT_EQ(refused.complaints.size(), 3u);
+        const SceneBundle larger = small_scene(2);
+        const EditResult done = co_await create(*larger.blobs.find(larger.scene.meshes[0]));
+        EXPECT_EQ(done.version, 2u);
+        EXPECT_EQ(done.complaints, std::vector<std::string>{"'new': that is no shape for it"});
+        expect_exact(co_await render(viewer, small_request()), small_request().spec);
+    });
+}
+
 TEST(Server, edits_that_cannot_be_done_are_told_and_change_nothing) {
     Host host;
     host.server.add_scene("scene", small_scene(1));
