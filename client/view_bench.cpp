@@ -7,6 +7,8 @@
 #include <chrono>
 #include <cmath>
 #include <fstream>
+#include <functional>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -46,6 +48,12 @@ struct Latencies {
     void add(Clock::time_point changed, const ShownPicture& shown) {
         first.push_back(seconds_since(changed));
         frame.push_back(shown.about.first_seconds);
+    }
+    /// What all but the frame takes, change by change.
+    std::vector<double> beyond() const {
+        std::vector<double> out;
+        std::ranges::transform(first, frame, std::back_inserter(out), std::minus());
+        return out;
     }
     void add(const Latencies& other) {
         first.insert(first.end(), other.first.begin(), other.first.end());
@@ -175,10 +183,13 @@ using Round = std::map<std::string, Latencies>;
 
 void print_round(const Round& round) {
     for (const auto& [kind, latencies] : round)
-        fmt::print("{:<8} {:>8} {:>8.1f} {:>10.1f} {:>8.1f} {:>8.1f} {:>8}\n", kind,
+        fmt::print("{:<8} {:>8} {:>8.1f} {:>10.1f} {:>8.1f} {:>8.1f} {:>15} {:>8}\n", kind,
                    latencies.first.size(), 1e3 * quantile(latencies.frame, 0.5),
                    1e3 * quantile(latencies.first, 0.5), 1e3 * quantile(latencies.first, 0.99),
-                   1e3 * quantile(latencies.first, 1), latencies.waiting);
+                   1e3 * quantile(latencies.first, 1),
+                   fmt::format("{:.1f} / {:.1f}", 1e3 * quantile(latencies.beyond(), 0.5),
+                               1e3 * quantile(latencies.beyond(), 0.99)),
+                   latencies.waiting);
 }
 
 void print(const Footprint& f) {
@@ -201,6 +212,9 @@ nlohmann::json json_of(const std::string& scene, const Round& round) {
                              {"p95", quantile(latencies.first, 0.95)},
                              {"p99", quantile(latencies.first, 0.99)},
                              {"max", quantile(latencies.first, 1)}}},
+                           {"beyond_frame_s",
+                            {{"p50", quantile(latencies.beyond(), 0.5)},
+                             {"p99", quantile(latencies.beyond(), 0.99)}}},
                            {"most_waiting", latencies.waiting}});
     return results;
 }
@@ -229,8 +243,9 @@ void run(const ViewBenchOptions& options) {
     ViewBench bench(options, client, camera);
 
     // Round after round, each of all kinds of changes, and what is held after each.
-    fmt::print("{}, milliseconds\n{:<8} {:>8} {:>8} {:>10} {:>8} {:>8} {:>8}\n", options.scene,
-               "change", "number", "frame", "to first", "p99", "max", "waiting");
+    fmt::print("{}, milliseconds\n{:<8} {:>8} {:>8} {:>10} {:>8} {:>8} {:>15} {:>8}\n",
+               options.scene, "change", "number", "frame", "to first", "p99", "max", "beyond, p99",
+               "waiting");
     Round all;
     nlohmann::json rounds = nlohmann::json::array();
     const auto start = Clock::now();
