@@ -46,7 +46,7 @@ Mesh mesh_of(const BlobStore& blobs, const BlobId& id) {
 
 }  // namespace
 
-Picker::Picker(const Scene& scene, const BlobStore& blobs) {
+Picker::Picker(const Scene& scene, const BlobStore& blobs) : meshes_(scene.meshes) {
     for (const BlobId& id : scene.meshes) {
         Shape shape{.mesh = mesh_of(blobs, id), .bounds = {}};
         for (const vec3& p : shape.mesh.positions) shape.bounds.add(p);

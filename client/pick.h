@@ -22,6 +22,9 @@ public:
     /// Decodes the meshes that `scene` names and `blobs` holds; others cannot be picked.
     Picker(const Scene& scene, const BlobStore& blobs);
 
+    /// Whether no mesh has come or gone since.
+    bool knows(const Scene& scene) const { return scene.meshes == meshes_; }
+
     /// The nearest instance of `scene`, which may have been edited since.
     std::optional<Picked> pick(const Scene& scene, const Ray& ray) const;
 
@@ -33,7 +36,8 @@ private:
         Mesh mesh;
         Box bounds;
     };
-    std::vector<Shape> shapes_;  ///< of Scene::meshes
+    std::vector<BlobId> meshes_;
+    std::vector<Shape> shapes_;  ///< of each
 };
 
 }  // namespace tessera

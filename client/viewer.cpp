@@ -16,6 +16,8 @@ constexpr std::uint64_t view_number = 1;
 /// Pictures of more pixels than this are made smaller unless the user says otherwise.
 constexpr std::size_t quick_pixels = 450000;
 constexpr std::size_t plotted = 120;
+/// Of half the picture's height: how near to a light's mark a click may be.
+constexpr float mark_reach = 0.04f;
 /// The window is drawn at least so often; network and user wake it sooner.
 constexpr std::chrono::milliseconds draw_interval{30};
 constexpr std::chrono::milliseconds status_interval{1000};
@@ -223,10 +225,10 @@ void Viewer::handle_key(SDL_Keycode key) {
             change_camera(config_.camera);
             break;
         case SDLK_DELETE:
-            if (selected()) edit(DeleteInstance{std::exchange(selected_, {})});
+            delete_selection();
             break;
         case SDLK_ESCAPE:
-            help_ ? void(help_ = false) : selected_.clear();
+            help_ ? void(help_ = false) : select({}, {});
             break;
         default:
             break;
@@ -236,6 +238,14 @@ void Viewer::handle_key(SDL_Keycode key) {
 vec2 Viewer::picture_point(int x, int y) const {
     const SDL_Rect area = picture_area();
     return vec2(2 * float(x) - float(area.w), float(area.h) - 2 * float(y)) / float(area.h);
+}
+
+/// In pixels of the window; nothing when it is behind the eye.
+std::optional<vec2> Viewer::window_point(const vec3& p) const {
+    const auto at = projected(camera_, p);
+    if (!at) return std::nullopt;
+    const SDL_Rect area = picture_area();
+    return 0.5f * (vec2(area.w, area.h) + float(area.h) * vec2(at->x, -at->y));
 }
 
 void Viewer::handle_button(const SDL_MouseButtonEvent& button) {
@@ -252,13 +262,7 @@ void Viewer::handle_button(const SDL_MouseButtonEvent& button) {
         drag_ = Drag::turn;
     else if (button.button == SDL_BUTTON_LEFT)
         drag_ = Drag::orbit;
-    if (drag_ != Drag::orbit || !selected() || !picker_) return;
-    // What is selected is taken hold of.
-    const auto held = picker_->pick(scene(), eye_ray(camera_, picture_point(button.x, button.y)));
-    if (!held || scene().instances[held->instance].name != selected_) return;
-    grip_ = *held;
-    grip_offset_ = vec3(selected()->world_from_object[3]) - held->p;
-    drag_ = Drag::object;
+    if (drag_ == Drag::orbit) take_hold(picture_point(button.x, button.y));
 }
 
 void Viewer::handle_motion(const SDL_MouseMotionEvent& motion) {
@@ -269,7 +273,8 @@ void Viewer::handle_motion(const SDL_MouseMotionEvent& motion) {
     if (drag_ == Drag::orbit) change_camera(orbited(camera_, by));
     if (drag_ == Drag::turn) change_camera(turned(camera_, by));
     if (drag_ == Drag::pan) change_camera(panned(camera_, by));
-    if (drag_ == Drag::object) drag_selection(picture_point(motion.x, motion.y));
+    if (drag_ == Drag::object || drag_ == Drag::arrow)
+        drag_selection(picture_point(motion.x, motion.y));
 }
 
 /// Keys that are held down move the eye: a third of the way to the point looked at in a second.
@@ -307,18 +312,102 @@ const Instance* Viewer::selected() const {
     return nullptr;
 }
 
+const Light* Viewer::selected_light() const {
+    for (const Light& light : scene().lights)
+        if (!selected_light_.empty() && light.name == selected_light_) return &light;
+    return nullptr;
+}
+
+/// The light whose mark is there.
+const Light* Viewer::light_at(const vec2& point) const {
+    for (const Light& light : scene().lights) {
+        if (light.kind == LightKind::directional) continue;
+        const auto at = projected(camera_, light.position);
+        if (at && length(*at - point) < mark_reach) return &light;
+    }
+    return nullptr;
+}
+
 void Viewer::select_at(const vec2& point) {
-    if (!picker_) picker_.emplace(scene(), client_.fetch_blobs(config_.scene, scene().meshes));
+    if (const Light* light = light_at(point)) return select({}, light->name);
+    if (!picker_ || !picker_->knows(scene()))
+        picker_.emplace(scene(), client_.fetch_blobs(config_.scene, scene().meshes));
     const auto picked = picker_->pick(scene(), eye_ray(camera_, point));
-    selected_ = picked ? scene().instances[picked->instance].name : "";
+    select(picked ? scene().instances[picked->instance].name : "", {});
     if (picked) material_ = scene().materials[picked->material].name;
 }
 
-/// Moves it in its ground plane, so that the point that was taken hold of stays under the pointer.
-void Viewer::drag_selection(const vec2& point) {
+void Viewer::select(const std::string& instance, const std::string& light) {
+    selected_ = instance;
+    selected_light_ = light;
+}
+
+void Viewer::delete_selection() {
+    if (selected()) edit(DeleteInstance{selected_});
+    if (selected_light()) edit(DeleteLight{selected_light_});
+    select({}, {});
+}
+
+/// In the middle of what is selected.
+std::optional<Gizmo> Viewer::gizmo() const {
+    const Light* light = selected_light();
+    if (light && light->kind != LightKind::directional) return gizmo_at(camera_, light->position);
     const Instance* instance = selected();
-    const auto to = on_plane(eye_ray(camera_, point), grip_.p, normalize(camera_.up));
-    if (instance && to) edit(moved(*instance, *to + grip_offset_));
+    if (!instance || !picker_) return std::nullopt;
+    const Box box = picker_->bounds(scene(), *instance);
+    return box.empty() ? std::nullopt : std::optional(gizmo_at(camera_, 0.5f * (box.lo + box.hi)));
+}
+
+/// Of the light or instance that is selected.
+vec3 Viewer::selected_place() const {
+    const Light* light = selected_light();
+    return light ? light->position : vec3(selected()->world_from_object[3]);
+}
+
+void Viewer::put_selection(const vec3& place) {
+    if (selected_light())
+        edit(SetLight{.light = selected_light_, .position = place});
+    else
+        edit(moved(*selected(), place));
+}
+
+/// What is selected is taken hold of: by an arrow, or where it is under the pointer.
+void Viewer::take_hold(const vec2& point) {
+    const auto arrows = gizmo();
+    if (!arrows) return;
+    const Ray ray = eye_ray(camera_, point);
+    const auto arrow = arrow_at(camera_, *arrows, point);
+    const auto along = arrow ? distance_along(*arrows, *arrow, ray) : std::nullopt;
+    if (along) {
+        arrow_ = *arrow;
+        gripped_ = *arrows;
+        grip_offset_ = selected_place() - *along * gripped_.axis(arrow_);
+        drag_ = Drag::arrow;
+        return;
+    }
+    if (const Light* light = selected_light()) {
+        if (light_at(point) != light) return;
+        grip_ = {.p = light->position};
+    } else {
+        const auto held = picker_->pick(scene(), ray);
+        if (!held || scene().instances[held->instance].name != selected_) return;
+        grip_ = *held;
+    }
+    grip_offset_ = selected_place() - grip_.p;
+    drag_ = Drag::object;
+}
+
+/// Moves it along the arrow or in its ground plane, so that the point that was taken hold of stays
+/// under the pointer.
+void Viewer::drag_selection(const vec2& point) {
+    if (!selected() && !selected_light()) return;
+    const Ray ray = eye_ray(camera_, point);
+    if (drag_ == Drag::object) {
+        const auto to = on_plane(ray, grip_.p, normalize(camera_.up));
+        if (to) put_selection(*to + grip_offset_);
+    } else if (const auto along = distance_along(gripped_, arrow_, ray)) {
+        put_selection(grip_offset_ + *along * gripped_.axis(arrow_));
+    }
 }
 
 void Viewer::edit(EditOperation operation) {

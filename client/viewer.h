@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "client/gizmo.h"
 #include "client/motion_player.h"
 #include "client/pick.h"
 #include "client/recording.h"
@@ -67,7 +68,10 @@ private:
     void fly();
     void play();
     void select_at(const vec2& point);
+    void select(const std::string& instance, const std::string& light);
+    void take_hold(const vec2& point);
     void drag_selection(const vec2& point);
+    void delete_selection();
     void ask_for_pictures();
     void take_what_arrived();
     void show_picture(ShownPicture picture);
@@ -78,12 +82,18 @@ private:
     void replay();
     void end_if_asked_for();
     vec2 picture_point(int x, int y) const;
+    std::optional<vec2> window_point(const vec3& p) const;
     SDL_Rect picture_area() const;
     ImageSize picture_size() const;
     void change_camera(const Camera& camera);
     void edit(EditOperation operation);
     const Scene& scene() const { return client_.scene().scene; }
     const Instance* selected() const;
+    const Light* selected_light() const;
+    const Light* light_at(const vec2& point) const;
+    std::optional<Gizmo> gizmo() const;
+    vec3 selected_place() const;
+    void put_selection(const vec3& place);
 
     // The controls, in viewer_panel.cpp.
     void draw_controls();
@@ -94,8 +104,12 @@ private:
     void draw_cameras();
     void draw_selection();
     void draw_selected_box();
+    void draw_light_marks();
+    void draw_gizmo();
     void draw_material(const Material& material);
+    void draw_light(const Light& light);
     void draw_lights();
+    void draw_environment();
     void draw_workers();
     void draw_help();
     void draw_notice();
@@ -122,13 +136,16 @@ private:
     std::string notice_;
     Clock::time_point notice_until_;
 
-    enum class Drag { none, orbit, turn, pan, object };
+    enum class Drag { none, orbit, turn, pan, object, arrow };
     Drag drag_ = Drag::none;
-    bool moved_ = false;  ///< since the button went down
-    std::string selected_;
-    std::string material_;  ///< under the pointer when it was selected
-    Picked grip_;           ///< where the selection is held
-    vec3 grip_offset_{0};   ///< from there to its origin
+    bool moved_ = false;          ///< since the button went down
+    std::string selected_;        ///< instance
+    std::string selected_light_;  ///< or light
+    std::string material_;        ///< under the pointer when it was selected
+    Picked grip_;                 ///< where the selection is held
+    vec3 grip_offset_{0};         ///< from there to its origin
+    Gizmo gripped_;               ///< or the arrow by which it is held, where it was then
+    int arrow_ = 0;
     Clock::time_point flown_;
 
     MotionPlayer player_;

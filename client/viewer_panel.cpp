@@ -92,6 +92,8 @@ constexpr std::pair<Channel, const char*> channels[] = {{Channel::radiance, "Pic
                                                         {Channel::error, "Error"},
                                                         {Channel::owner, "Tile owner"}};
 
+ImVec2 at(const vec2& p) { return {p.x, p.y}; }
+ImU32 orange(int alpha) { return IM_COL32(237, 158, 71, alpha); }
 ImU32 colour(const Rgb8& rgb) { return IM_COL32(rgb[0], rgb[1], rgb[2], 255); }
 
 const char* name_of(Channel channel) {
@@ -104,6 +106,8 @@ const char* name_of(Channel channel) {
 
 void Viewer::draw_controls() {
     draw_selected_box();
+    draw_light_marks();
+    draw_gizmo();
     draw_legend();
     if (memory_.panel) draw_panel();
     if (help_) draw_help();
@@ -184,8 +188,9 @@ void Viewer::draw_display() {
 
 void Viewer::draw_selection() {
     if (!section("Selection")) return;
+    if (const Light* light = selected_light()) return draw_light(*light);
     const Instance* instance = selected();
-    if (!instance) return quiet("click an object; drag to move it");
+    if (!instance) return quiet("click an object or a light; drag it, or an arrow");
     text("{}", instance->name);
     vec3 at(instance->world_from_object[3]);
     if (ImGui::DragFloat3(labelled("place").c_str(), &at.x, 0.01f, 0, 0, "%.2f"))
@@ -207,19 +212,51 @@ void Viewer::draw_selected_box() {
     const Instance* instance = selected();
     if (!instance || !picker_) return;
     const Box box = picker_->bounds(scene(), *instance);
-    const SDL_Rect area = picture_area();
-    const auto corner = [&](int i) -> std::optional<ImVec2> {
-        const auto at =
-            projected(camera_, {i & 1 ? box.hi.x : box.lo.x, i & 2 ? box.hi.y : box.lo.y,
-                                i & 4 ? box.hi.z : box.lo.z});
-        if (!at) return std::nullopt;
-        const vec2 pixel = 0.5f * (vec2(area.w, area.h) + float(area.h) * vec2(at->x, -at->y));
-        return ImVec2(pixel.x, pixel.y);
+    const auto corner = [&](int i) {
+        return window_point({i & 1 ? box.hi.x : box.lo.x, i & 2 ? box.hi.y : box.lo.y,
+                             i & 4 ? box.hi.z : box.lo.z});
     };
     for (int i = 0; i < 8; ++i)
         for (int axis = 1; axis <= 4; axis *= 2)
             if (const auto a = corner(i), b = corner(i | axis); !(i & axis) && a && b)
-                ImGui::GetBackgroundDrawList()->AddLine(*a, *b, IM_COL32(237, 158, 71, 150));
+                ImGui::GetBackgroundDrawList()->AddLine(at(*a), at(*b), orange(150));
+}
+
+/// A small sun where there is a light that has no shape.
+void Viewer::draw_light_marks() {
+    ImDrawList* const list = ImGui::GetBackgroundDrawList();
+    for (const Light& light : scene().lights) {
+        const auto place = window_point(light.position);
+        if (light.kind == LightKind::directional || !place) continue;
+        const ImU32 ink =
+            light.name == selected_light_ ? orange(255) : IM_COL32(255, 240, 200, 200);
+        list->AddCircleFilled(at(*place), 4, ink);
+        for (int ray = 0; ray < 8; ++ray) {
+            const float angle = float(ray) * pi / 4;
+            const vec2 direction(std::cos(angle), std::sin(angle));
+            list->AddLine(at(*place + 7.0f * direction), at(*place + 11.0f * direction), ink, 1.5f);
+        }
+    }
+}
+
+/// Arrows to draw the selection along.
+void Viewer::draw_gizmo() {
+    constexpr ImU32 inks[] = {IM_COL32(226, 88, 80, 255), IM_COL32(120, 190, 90, 255),
+                              IM_COL32(90, 140, 230, 255)};
+    constexpr float head = 11, half_head = 5;
+    const auto arrows = gizmo();
+    const auto base = arrows ? window_point(arrows->origin) : std::nullopt;
+    if (!base) return;
+    for (int i = 0; i < 3; ++i) {
+        const auto tip = window_point(arrows->tip(i));
+        if (!tip || length(*tip - *base) < head) continue;
+        const vec2 along = normalize(*tip - *base), across(-along.y, along.x);
+        const vec2 neck = *tip - head * along;
+        ImDrawList* const list = ImGui::GetBackgroundDrawList();
+        list->AddLine(at(*base), at(neck), inks[i], 2.5f);
+        list->AddTriangleFilled(at(*tip), at(neck + half_head * across),
+                                at(neck - half_head * across), inks[i]);
+    }
 }
 
 void Viewer::draw_material(const Material& material) {
@@ -232,20 +269,32 @@ void Viewer::draw_material(const Material& material) {
     if (change != SetMaterial{.material = material.name}) edit(change);
 }
 
+void Viewer::draw_light(const Light& light) {
+    ImGui::PushID(light.name.c_str());
+    text("{}", light.name);
+    SetLight change{.light = light.name};
+    vec3 intensity = light.intensity, position = light.position;
+    if (edit_light("colour", "intensity", intensity)) change.intensity = intensity;
+    if (light.kind != LightKind::directional &&
+        ImGui::DragFloat3(labelled("place").c_str(), &position.x, 0.02f, 0, 0, "%.2f"))
+        change.position = position;
+    if (change != SetLight{.light = light.name}) edit(change);
+    ImGui::PopID();
+}
+
+/// Light from all sides; a picture of it stays.
+void Viewer::draw_environment() {
+    ImGui::PushID("environment");
+    text("environment");
+    vec3 radiance = scene().environment.radiance;
+    if (edit_light("colour", "radiance", radiance)) edit(SetEnvironment{.radiance = radiance});
+    ImGui::PopID();
+}
+
 void Viewer::draw_lights() {
     if (!section("Lights", false)) return;
-    for (const Light& light : scene().lights) {
-        ImGui::PushID(light.name.c_str());
-        text("{}", light.name);
-        SetLight change{.light = light.name};
-        vec3 intensity = light.intensity, position = light.position;
-        if (edit_light("colour", "intensity", intensity)) change.intensity = intensity;
-        if (light.kind != LightKind::directional &&
-            ImGui::DragFloat3(labelled("place").c_str(), &position.x, 0.02f, 0, 0, "%.2f"))
-            change.position = position;
-        if (change != SetLight{.light = light.name}) edit(change);
-        ImGui::PopID();
-    }
+    for (const Light& light : scene().lights) draw_light(light);
+    draw_environment();
     // Surfaces that emit are lights, too.
     for (const Material& material : scene().materials) {
         if (max_component(material.emission) <= 0) continue;
@@ -334,8 +383,8 @@ void Viewer::draw_help() {
         {"middle or Shift drag", "pan"},
         {"wheel", "nearer, farther"},
         {"W A S D  Q E", "fly; Shift: faster"},
-        {"click", "select an object"},
-        {"drag what is selected", "move it in its ground plane"},
+        {"click", "select an object or a light"},
+        {"drag what is selected", "move it in its ground plane; by an arrow, along that"},
         {"Delete", "remove it"},
         {"Space", "play or pause what moves"},
         {"Home", "back to where it began"},

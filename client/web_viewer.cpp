@@ -173,7 +173,8 @@ void WebViewer::edit(const json& operation) {
 }
 
 const Picker& WebViewer::picker() {
-    if (!picker_) picker_.emplace(scene(), client_.fetch_blobs(scene_name_, scene().meshes));
+    if (!picker_ || !picker_->knows(scene()))
+        picker_.emplace(scene(), client_.fetch_blobs(scene_name_, scene().meshes));
     return *picker_;
 }
 

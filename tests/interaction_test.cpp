@@ -8,6 +8,7 @@
 
 #include "client/camera_control.h"
 #include "client/edit_json.h"
+#include "client/gizmo.h"
 #include "client/pick.h"
 #include "client/recording.h"
 #include "common/check.h"
@@ -116,12 +117,37 @@ TEST(Pick, the_nearest_instance_is_found_where_it_is_by_now) {
 
 Scene small_scene() {
     Scene scene;
+    scene.meshes.resize(1);
     scene.objects = {{.name = "chair", .materials = {}}};
     scene.instances = {{.name = "a"}};
     scene.materials = {{.name = "oak"}};
     scene.lights = {{.name = "sun"}};
     scene.cameras = {{.name = "door", .fov_y = 30}};
     return scene;
+}
+
+TEST(Gizmo, an_arrow_is_held_where_it_is_seen_and_followed) {
+    Gestures gestures;
+    Camera camera{.name = {}, .eye = {2, 1.5f, 3}, .at = {0, 0.5f, 0}, .fov_y = 50};
+    int held = 0;
+    for (int round = 0; round < 300; ++round) {
+        camera = gestures.moved(camera);
+        const vec3 origin = camera.at + vec3(gestures.in(-1, 1), 0, gestures.in(-1, 1));
+        const Gizmo gizmo = gizmo_at(camera, origin);
+        for (int arrow = 0; arrow < 3; ++arrow) {
+            const float part = gestures.in(0.3f, 1);
+            const vec3 p = origin + part * gizmo.length * Gizmo::axis(arrow);
+            const auto point = projected(camera, p), base = projected(camera, origin);
+            // Arrows towards the eye are short in the picture, and others lie over them.
+            if (!point || !base || length(*point - *base) < 0.15f) continue;
+            const Ray ray = eye_ray(camera, *point);
+            EXPECT_NEAR(distance_along(gizmo, arrow, ray).value_or(-1), part * gizmo.length,
+                        0.01f * gizmo.length);
+            held += arrow_at(camera, gizmo, *point) == arrow;
+            EXPECT_FALSE(arrow_at(camera, gizmo, *point + vec2(1, 1)));
+        }
+    }
+    EXPECT_GT(held, 300);
 }
 
 std::vector<TimedEdit> edits_of(const std::string& json) {
@@ -157,6 +183,9 @@ TEST(EditJson, mistakes_are_told_with_file_and_entry) {
           {R"({"move": "a", "to": [0, 0]})", "2 numbers, must have 3"},
           {R"({"set": "material", "name": "oak", "to": {"rough": 1}})", "`rough`"},
           {R"({"set": "material", "name": "oak", "to": {"roughness": 2}})", "roughness must be"},
+          {R"({"create object": "b", "mesh": "12", "materials": ["oak"]})", "64 hexadecimal"},
+          {R"({"create object": "b", "like": "nobody"})", "no object 'nobody'"},
+          {R"({"create material": "b", "to": {"ior": 0.5}})", "index of refraction"},
           {R"({"paint": "a"})", "no edit"}}) {
         try {
             edits_of(std::string(R"([{"edits": []}, {"edits": [)") + edit + "]}]");
@@ -225,6 +254,35 @@ TEST(Recording, what_is_written_makes_the_same_scenes_again) {
     EXPECT_EQ(sorted(again), sorted(scene));
     EXPECT_EQ(views, 100);
     EXPECT_LE(steps.size(), 200u);
+}
+
+TEST(Recording, what_is_made_and_taken_away_is_written_too) {
+    const std::vector<std::vector<EditOperation>> sessions = {
+        {CreateMaterial{{.name = "blue", .base_color = vec3(0, 0, 1), .ior = 1.25f}},
+         CreateObject{"stool", small_scene().meshes[0], {"blue"}}, CreateInstance{"b", "stool"}},
+        {SetMaterial{
+             .material = "blue", .shader = "wood", .shader_parameters = {{"ring", vec3(1)}}},
+         SetEnvironment{.radiance = vec3(1, 2, 3)}},
+        {DeleteInstance{"b"}, DeleteObject{"stool"}, DeleteMaterial{"blue"}, DeleteCamera{"door"}}};
+    Scene scene = small_scene();
+    Recorder recorder(scene);
+    std::vector<Scene> seen;
+    for (const auto& operations : sessions) {
+        const EditedScene edited = apply_edits(scene, operations);
+        EXPECT_TRUE(edited.complaints.empty());
+        scene = edited.scene;
+        seen.push_back(scene);
+        recorder.see(double(seen.size()), scene);
+    }
+    const TempDir dir;
+    recorder.save(dir.file("session.json"));
+    const auto steps = load_timed_edits(dir.file("session.json"), small_scene());
+    ASSERT_EQ(steps.size(), seen.size());
+    scene = small_scene();
+    for (std::size_t i = 0; i < seen.size(); ++i) {
+        scene = apply_edits(scene, steps[i].operations).scene;
+        EXPECT_EQ(scene, seen[i]);
+    }
 }
 
 /// Seconds that a picture of this quality takes over a link; 200 kB at the best quality.
