@@ -9,8 +9,8 @@
 // the direction, which tells -0 from +0; a ray inside a slab's face (distance NaN) keeps its
 // segment; and traversal ends when no box left to visit starts before the hit.
 //
-// Occlusion rays through one object go in waves, which part computing from branching, in the manner
-// of Laine, Karras and Aila, "Megakernels Considered Harmful" (2013).
+// Rays through one object go in waves, which part computing from branching, in the manner of Laine,
+// Karras and Aila, "Megakernels Considered Harmful" (2013).
 #if defined(TESSERA_RAY_INL_H) == defined(HWY_TARGET_TOGGLE)
 #ifdef TESSERA_RAY_INL_H
 #undef TESSERA_RAY_INL_H
@@ -286,11 +286,10 @@ public:
     bool found() const { return hit_.valid(); }
     /// By the scene's own names. Of any hit, only whether there is one.
     Hit result() const { return found() ? hit_ : Hit{}; }
-
-private:
     /// The largest t that can still change the answer.
     float last_t() const { return any_hit && found() ? -infinity : hit_.t; }
 
+    /// Takes the hit among the triangles that `may` be hit, if it is closer.
     HWY_INLINE void test(const TriangleRay& ray, const Block& block, Bits may,
                          std::uint32_t instance) {
         for (; may; may &= may - 1) {
@@ -304,6 +303,7 @@ private:
         }
     }
 
+private:
     void take(const TriangleHit& found, std::uint32_t instance, std::uint32_t triangle) {
         const auto precedes = [&] {
             return scene_.name_of(instance, triangle) <
@@ -335,14 +335,18 @@ Hit named(const Scene& scene, const Hit& hit) {
     return {hit.t, hit.u, hit.v, instance, triangle};
 }
 
-/// Tells which rays an object blocks, some rays at a time and all of these by one step in turn:
-/// first what has no branches, for all of them, then what branches on it. A mispredicted branch
-/// then costs little, for what it waits for is known, and memory has the time of a turn to answer.
-class OcclusionWave {
+/// Traces rays through the only object of a scene, some rays at a time and all of these by one step
+/// in turn: first what has no branches, for all of them, then what branches on it. A mispredicted
+/// branch then costs little, for what it waits for is known, and memory has the time of a turn to
+/// answer.
+template <bool any_hit>
+class RayWave {
 public:
-    OcclusionWave(const SceneObject& object, std::span<const Ray> rays,
-                  std::span<std::uint8_t> blocked)
-        : object_(object), rays_(rays), blocked_(blocked) {}
+    /// Of any hit, only whether there is one.
+    using Answer = std::conditional_t<any_hit, std::uint8_t, Hit>;
+
+    RayWave(const Scene& scene, std::span<const Ray> rays, std::span<Answer> answers)
+        : scene_(scene), object_(scene.object(0)), rays_(rays), answers_(answers) {}
 
     void run() {
         for (Walk& walk : walks_) start(walk);
@@ -357,9 +361,13 @@ private:
         std::size_t index;  ///< of the ray
         std::optional<BoxRay> boxes;
         std::optional<TriangleFilter> triangles;
+        std::optional<TriangleRay> exact;   ///< of closest hits
+        std::optional<Query<false>> query;  ///< the same
         WideLink next;
+        alignas(64) float starts[W];  ///< of closest hits: where the ray enters the children
+        Bits met;                     ///< of these, those that it meets
         TriangleFilter::Lanes lanes;
-        LinkStack<false> stack;
+        LinkStack<!any_hit> stack;
     };
 
     static constexpr int size = 8;
@@ -372,28 +380,55 @@ private:
         std::span<Walk*> take() { return {walks, std::size_t(std::exchange(count, 0))}; }
     };
 
+    /// The largest t that can still change the answer.
+    HWY_INLINE float last_t(const Walk& walk) const {
+        return any_hit ? rays_[walk.index].tmax : walk.query->last_t();
+    }
+
     HWY_INLINE void meet_boxes() {
         const auto walks = nodes_.take();
         for (Walk* walk : walks) {
             const Node& node = object_.tree.nodes[walk->next.first()];
             Float start;
-            const Mask met = walk->boxes->meets(node, rays_[walk->index].tmax, start);
-            walk->stack.push(node, met, start);
+            const Mask met = walk->boxes->meets(node, last_t(*walk), start);
+            if constexpr (any_hit) {
+                walk->stack.push(node, met, start);
+            } else {
+                walk->met = bits(met);
+                store(start, walk->starts);
+            }
         }
-        for (Walk* walk : walks) advance(*walk);
+        for (Walk* walk : walks) {
+            if constexpr (!any_hit) {
+                const Node& node = object_.tree.nodes[walk->next.first()];
+                if (std::has_single_bit(walk->met)) {
+                    walk->next = node.children[std::countr_zero(walk->met)];
+                    place(*walk);
+                    continue;
+                }
+                walk->stack.push(node, mask_of(walk->met), load(walk->starts));
+            }
+            advance(*walk);
+        }
     }
 
     HWY_INLINE void meet_triangles() {
         const auto walks = leaves_.take();
         for (Walk* walk : walks)
-            walk->lanes =
-                walk->triangles->sort(object_.blocks[walk->next.first()], rays_[walk->index].tmax);
+            walk->lanes = walk->triangles->sort(object_.blocks[walk->next.first()], last_t(*walk));
         for (Walk* walk : walks) {
             const WideLink leaf = walk->next;
-            if (hits_any(rays_[walk->index], object_.blocks[leaf.first()], walk->lanes)) {
-                blocked_[walk->index] = true;
-                start(*walk);
-            } else if (leaf.count() > 1) {
+            const Block& block = object_.blocks[leaf.first()];
+            if constexpr (any_hit) {
+                if (hits_any(rays_[walk->index], block, walk->lanes)) {
+                    answers_[walk->index] = true;
+                    start(*walk);
+                    continue;
+                }
+            } else {
+                walk->query->test(*walk->exact, block, walk->lanes.maybe, scene_.single_id);
+            }
+            if (leaf.count() > 1) {
                 walk->next = WideLink::leaf(leaf.first() + 1, leaf.count() - 1);
                 place(*walk);
             } else {
@@ -404,21 +439,24 @@ private:
 
     /// Goes on to what the stack holds, or with another ray.
     HWY_INLINE void advance(Walk& walk) {
-        if (walk.stack.pop(infinity, walk.next))
-            place(walk);
-        else
-            start(walk);
+        if (walk.stack.pop(last_t(walk), walk.next)) return place(walk);
+        if constexpr (!any_hit) answers_[walk.index] = named(scene_, walk.query->result());
+        start(walk);
     }
 
     /// Gives the walk the next ray, if there is one.
     HWY_INLINE void start(Walk& walk) {
         while (next_ < rays_.size()) {
             const std::size_t i = next_++;
-            blocked_[i] = false;
+            answers_[i] = {};
             if (!is_sound(rays_[i])) continue;
             walk.index = i;
             walk.boxes.emplace(rays_[i]);
             walk.triangles.emplace(rays_[i]);
+            if constexpr (!any_hit) {
+                walk.exact.emplace(rays_[i]);
+                walk.query.emplace(scene_, rays_[i].tmax);
+            }
             walk.next = WideLink::node(0);
             walk.stack.clear();
             return place(walk);
@@ -436,25 +474,23 @@ private:
         leaves_.count += leaf;
     }
 
-    static HWY_INLINE void prefetch(const void* at, std::size_t bytes) {
-        for (std::size_t i = 0; i < bytes; i += 64) hwy::Prefetch(static_cast<const char*>(at) + i);
-    }
-
+    const Scene& scene_;
     const SceneObject& object_;
     std::span<const Ray> rays_;
-    std::span<std::uint8_t> blocked_;
+    std::span<Answer> answers_;
     std::size_t next_ = 0;
     List nodes_, leaves_;
     Walk walks_[size];
 };
 
 void closest_hits(const Scene& scene, std::span<const Ray> rays, std::span<Hit> hits) {
+    if (scene.single) return RayWave<false>(scene, rays, hits).run();
     for (std::size_t i = 0; i < rays.size(); ++i)
         hits[i] = named(scene, trace<false>(scene, rays[i]));
 }
 
 void occluded(const Scene& scene, std::span<const Ray> rays, std::span<std::uint8_t> blocked) {
-    if (scene.single) return OcclusionWave(scene.object(0), rays, blocked).run();
+    if (scene.single) return RayWave<true>(scene, rays, blocked).run();
     for (std::size_t i = 0; i < rays.size(); ++i) blocked[i] = trace<true>(scene, rays[i]).valid();
 }
 
