@@ -10,6 +10,8 @@ namespace {
 
 /// Of half the picture's height: the length of an arrow, and how far from it a hand may be.
 constexpr float arrow_length = 0.3f, reach = 0.035f;
+/// The part of an arrow that is left to what lies under it.
+constexpr float held_from = 0.3f;
 
 float distance_to_segment(const vec2& p, const vec2& a, const vec2& b) {
     const vec2 ab = b - a;
@@ -39,7 +41,8 @@ std::optional<int> arrow_at(const Camera& camera, const Gizmo& gizmo, const vec2
     for (int arrow = 0; arrow < 3; ++arrow) {
         const auto tip = projected(camera, gizmo.tip(arrow));
         if (!tip) continue;
-        const float d = distance_to_segment(point, *base, *tip);
+        // Near the origin it is not said which one is meant.
+        const float d = distance_to_segment(point, *base + held_from * (*tip - *base), *tip);
         if (d >= distance) continue;
         distance = d;
         nearest = arrow;

@@ -135,7 +135,7 @@ TEST(Gizmo, an_arrow_is_held_where_it_is_seen_and_followed) {
         const vec3 origin = camera.at + vec3(gestures.in(-1, 1), 0, gestures.in(-1, 1));
         const Gizmo gizmo = gizmo_at(camera, origin);
         for (int arrow = 0; arrow < 3; ++arrow) {
-            const float part = gestures.in(0.3f, 1);
+            const float part = gestures.in(0.35f, 1);
             const vec3 p = origin + part * gizmo.length * Gizmo::axis(arrow);
             const auto point = projected(camera, p), base = projected(camera, origin);
             // Arrows towards the eye are short in the picture, and others lie over them.
