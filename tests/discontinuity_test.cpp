@@ -106,10 +106,13 @@ vec3 reference(const Pass& pass, int x, int y) {
             const std::size_t q = pass.at(qx, qy);
             if (!is_finite(vec(pass.irradiance, q))) continue;
             const vec3 n = vec(pass.normal, p);
-            const vec3 d = eye_ray(f, qx, qy) * pass.depth[q] - eye_ray(f, x, y) * pass.depth[p];
-            const bool flat = std::abs(dot(n, d)) <= f.plane_pixels * pixel * pass.depth[p] ||
-                              std::abs(pass.depth[q] - pass.depth[p]) <=
-                                  float(std::abs(dx) + std::abs(dy)) * pixel * pass.depth[p];
+            const vec3 hit_p = eye_ray(f, x, y) * pass.depth[p];
+            const vec3 hit_q = eye_ray(f, qx, qy) * pass.depth[q];
+            const vec3 forward = normalize(f.camera.at - f.camera.eye);
+            const float z = dot(forward, eye_ray(f, x, y)) * pass.depth[p];
+            const float beyond = dot(forward, eye_ray(f, qx, qy)) * pass.depth[q] - z;
+            const bool flat = std::abs(dot(n, hit_q - hit_p)) <= f.plane_pixels * pixel * z ||
+                              std::abs(beyond) <= float(std::abs(dx) + std::abs(dy)) * pixel * z;
             const bool same = std::bit_cast<std::uint32_t>(pass.surface[p]) ==
                                   std::bit_cast<std::uint32_t>(pass.surface[q]) &&
                               dot(n, vec(pass.normal, q)) >= f.normal_cosine && flat;
