@@ -77,9 +77,8 @@ private:
 
 void RectFilter::prepare(int y) {
     GuideRow& out = row(y);
-    out.forget();
     const Rect& area = pass_.area;
-    if (y < area.y0 || y >= area.y1) return;
+    if (y < area.y0 || y >= area.y1) return out.forget();
     const int x0 = std::max(rect_.x0 - reach_, area.x0);
     const int x1 = std::min(rect_.x1 + reach_, area.x1);
     const std::size_t from = index(x0, y);

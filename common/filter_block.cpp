@@ -209,19 +209,18 @@ std::optional<std::size_t> cut_reach(const GuideRow& row, std::size_t from, std:
     return found;
 }
 
-/// Finds the groups of a block's reach.
-Reach group_reach(GuideRow& row, std::size_t from, std::size_t reach, float cosine) {
+/// Finds the groups of a block's reach, from pixel `from` on.
+void group_reach(GuideRow& row, std::size_t from, std::size_t reach, float cosine, Reach& out) {
     const std::span<PixelGroup, most_groups> groups(&row.groups[row.group_count], most_groups);
     const auto count = cut_reach(row, from, reach, cosine, groups);
-    if (!count) return {.by_taps = true};
+    out.first = std::uint32_t(row.group_count);
+    out.count = std::uint32_t(count.value_or(0));
+    out.by_taps = !count;
+    for (std::size_t g = 0; g < out.count; ++g)
+        if (!bound(row, from, reach_pixels(reach), groups[g])) out.count = 0, out.by_taps = true;
     const std::uint64_t valid = bits_from(row.valid, from);
-    for (PixelGroup& group : groups.first(*count)) {
-        if (!bound(row, from, reach_pixels(reach), group)) return {.by_taps = true};
-        add_widths(row, from, reach, valid, group);
-    }
-    const Reach out{.first = std::uint32_t(row.group_count), .count = std::uint32_t(*count)};
-    row.group_count += *count;
-    return out;
+    for (PixelGroup& group : groups.first(out.count)) add_widths(row, from, reach, valid, group);
+    row.group_count += out.count;
 }
 
 /// Says of which blocks the reach is one group.
@@ -246,7 +245,8 @@ void group_row(std::size_t reach, float cosine, GuideRow& row) {
     compare_neighbours(row);
     for (std::size_t block = 0; block < row.reaches.size(); ++block) {
         const std::size_t from = row.margin + block * block_pixels - reach;
-        const Reach& here = row.reaches[block] = group_reach(row, from, reach, cosine);
+        Reach& here = row.reaches[block];
+        group_reach(row, from, reach, cosine, here);
         const std::uint64_t all = low_bits(reach_pixels(reach));
         note_flat(row, block,
                   here.count == 1 && (row.groups[here.first].pixels & all) == all &&
@@ -336,7 +336,7 @@ HWY_INLINE void add_taps(const FilterWindow& window, const Pixels& p, std::size_
 /// What is known for certain of any pixel of one group and any of another.
 enum class Verdict { none_counts, all_count, unclear };
 
-Verdict judge(const FilterWindow& window, const PixelGroup& p, const PixelGroup& q) {
+HWY_INLINE Verdict judge(const FilterWindow& window, const PixelGroup& p, const PixelGroup& q) {
     if (p.kind.surface != q.kind.surface) return Verdict::none_counts;
     if (p.kind.same_normal(q.kind))
         return std::max(q.most_plane - p.least_plane, p.most_plane - q.least_plane) <=
@@ -362,10 +362,9 @@ std::uint64_t rows_by_taps(const FilterWindow& window, std::size_t block) {
         const GuideRow& q = *window.rows[i];
         const Reach& theirs = q.reaches[block];
         bool unclear = theirs.by_taps;
-        for (std::size_t k = 0; k < own.size() && !unclear; ++k)
-            unclear = std::ranges::any_of(groups_of(q, theirs), [&](const PixelGroup& other) {
-                return judge(window, own[k], other) == Verdict::unclear;
-            });
+        for (const PixelGroup& a : own)
+            for (const PixelGroup& b : groups_of(q, theirs))
+                unclear = unclear || judge(window, a, b) == Verdict::unclear;
         out |= std::uint64_t(unclear) << i;
     }
     return out;
