@@ -80,7 +80,9 @@ void prepare_lanes(const PassRow& pixels, std::size_t first, std::size_t at, Gui
         put(nx + k, n[k]);
     }
     put(depth, d);
-    put(seen, hn::IfThenElse(is_finite, d, hn::Set(tag, std::numeric_limits<float>::quiet_NaN())));
+    const Float somewhere = hn::IfThenElse(d == d, d, hn::Set(tag, infinity));
+    put(seen, hn::IfThenElse(is_finite, somewhere,
+                             hn::Set(tag, std::numeric_limits<float>::quiet_NaN())));
     put(plane, (n[0] * way[0] + n[1] * way[1] + n[2] * way[2]) * d);
     put(surface, hn::LoadU(tag, pixels.surface + first));
 }
@@ -297,13 +299,12 @@ struct Pixels {
     }
 };
 
-/// Where the pixel of row `q` shows the same surface and lies so near that its distance along the
-/// rows and columns is `apart`. `facing`: dot(normal, way to it as far as depth 1).
-HWY_INLINE Mask same_surface(const Pixels& p, Float facing, const GuideRow& q, std::size_t at,
-                             Float cosine, Float apart) {
+/// Where the pixel of row `q`, seen at depth `z`, shows the same surface. `facing`: dot(normal, way
+/// to it as far as depth 1); `apart`: how far it is along rows and columns, at depth 1.
+HWY_INLINE Mask same_surface(const Pixels& p, Float facing, Float z, const GuideRow& q,
+                             std::size_t at, Float cosine, Float apart) {
     const Float alike =
         p.n[0] * load(q, nx, at) + p.n[1] * load(q, ny, at) + p.n[2] * load(q, nz, at);
-    const Float z = load(q, seen, at);
     const Mask near = hn::Or(hn::Abs(facing * z - p.plane) <= p.plane_tolerance,
                              hn::Abs(z - p.depth) <= apart * p.depth);
     return hn::And(hn::And(equal_bits(p.surface, load(q, surface, at)), near), alike >= cosine);
@@ -312,18 +313,18 @@ HWY_INLINE Mask same_surface(const Pixels& p, Float facing, const GuideRow& q, s
 /// Adds what counts of a row of the window, pixel by pixel.
 HWY_INLINE void add_taps(const FilterWindow& window, const Pixels& p, std::size_t row,
                          std::size_t x, Sums& sums) {
-    const std::size_t reach = window.reach;
     const GuideRow& q = *window.rows[row];
     const Float cosine = hn::Set(tag, window.cosine), one = hn::Set(tag, 1.0f);
-    const auto apart = [&](std::size_t i) { return float(i > reach ? i - reach : reach - i); };
+    const float reach = float(window.reach), dy = float(row) - reach;
     Float r = hn::Zero(tag), g = r, b = r, count = r;
-    Float facing = p.facing + hn::Set(tag, float(row) - float(reach)) * p.below -
-                   hn::Set(tag, float(reach)) * p.along;
-    for (std::size_t column = 0; column <= 2 * reach; ++column, facing = facing + p.along) {
-        const std::size_t at = x - reach + column;
-        const Float distance = hn::Set(tag, (apart(row) + apart(column)) * window.pixel_angle);
-        Mask counts = same_surface(p, facing, q, at, cosine, distance);
-        if (row == reach && column == reach) counts = load(q, seen, at) == load(q, seen, at);
+    Float facing = p.facing + hn::Set(tag, dy) * p.below - hn::Set(tag, reach) * p.along;
+    std::size_t at = x - window.reach;
+    for (float dx = -reach; dx <= reach; ++dx, ++at, facing = facing + p.along) {
+        const float apart = std::abs(dx) + std::abs(dy);
+        const Float seen_there = load(q, seen, at);
+        const Mask counts = apart == 0 ? seen_there == seen_there
+                                       : same_surface(p, facing, seen_there, q, at, cosine,
+                                                      hn::Set(tag, apart * window.pixel_angle));
         r = r + hn::IfThenElseZero(counts, load(q, red, at));
         g = g + hn::IfThenElseZero(counts, load(q, green, at));
         b = b + hn::IfThenElseZero(counts, load(q, blue, at));

@@ -7,9 +7,10 @@
 // the window's width, once for all the rows of pixels whose windows hold it. A block of pixels then
 // asks, for each of its own groups and each row of the window, whether all of the row's group with
 // the same normal lies in the same plane, and that none of the others can count: if so, the row
-// is one addition. What is curved or unclear is asked pixel by pixel (a *tap*).
+// is one addition. Blocks whose windows are one group (*flat*) are found many at a time, and only
+// added. What is curved or unclear is asked pixel by pixel (a *tap*).
 //
-// Both ways give the same bits: each row of the window is added from the left, with zeros for
+// All ways give the same bits: each row of the window is added from the left, with zeros for
 // pixels that do not count, then the rows from the top.
 #pragma once
 
