@@ -27,8 +27,8 @@ constexpr hn::RebindToUnsigned<decltype(tag)> bits_tag;
 using Float = hn::Vec<decltype(tag)>;
 using Mask = hn::Mask<decltype(tag)>;
 
-/// Narrower windows are added sooner than their rows are grouped; bits of wider ones are too many.
-constexpr std::size_t least_reach_grouped = 2, most_reach_grouped = 16;
+/// A window of one pixel needs no groups, and of one wider the bits are too many.
+constexpr std::size_t least_reach_grouped = 1, most_reach_grouped = 16;
 /// Of a plane's tolerance, what rounding may take from a tap's.
 constexpr float certain_share = 0.99f;
 
