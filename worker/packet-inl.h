@@ -84,10 +84,11 @@ private:
     int first_;
 };
 
-/// One group of a shaft, ray by ray: made when the shaft must look at single rays.
+/// One group of a shaft, ray by ray: made when the shaft must look at single rays. Along the
+/// shaft's axes: where the rays end, relative to their origin, and their slopes.
 struct GroupRays {
-    alignas(64) float d[3][group_size];  ///< by scene axis, to where the rays end
-    alignas(64) float u[group_size], v[group_size], z[group_size];
+    alignas(64) float x[group_size], y[group_size], z[group_size];
+    alignas(64) float u[group_size], v[group_size];
 };
 
 /// Bounds the distance along each axis of what lies in the box.
@@ -153,6 +154,14 @@ protected:
         return groups & ~std::exchange(visit.groups, visit.groups | groups);
     }
 
+    /// Asks memory for what is soon to be visited.
+    HWY_INLINE void prefetch_target(WideLink link) const {
+        if (link.is_leaf())
+            prefetch(&object_.blocks[link.first()], sizeof(Block::corners));
+        else
+            prefetch(&object_.tree.nodes[link.first()], sizeof(Node));
+    }
+
     const GroupRays& group_rays(int g) {
         GroupRays& out = group_rays_[g];
         if (known_rays_ >> g & 1) return out;
@@ -160,12 +169,11 @@ protected:
         for (int k = 0; k < group_size; k += W) {
             Float d[3];
             rays_.directions(g, k, from_world_, d);
-            for (int i = 0; i < 3; ++i) store(d[i], out.d[i] + k);
+            const Float x = d[shaft_.axis(0)], y = d[shaft_.axis(1)];
             const Float z = splat(shaft_.sign()) * d[shaft_.axis(2)];
             const Float inv = splat(1) / z;
-            store(d[shaft_.axis(0)] * inv, out.u + k);
-            store(d[shaft_.axis(1)] * inv, out.v + k);
-            store(z, out.z + k);
+            store(x, out.x + k), store(y, out.y + k), store(z, out.z + k);
+            store(x * inv, out.u + k), store(y * inv, out.v + k);
         }
         return out;
     }
@@ -189,12 +197,10 @@ protected:
             return most;
         };
         const float margin = shaft_.widening(), far = hi(rays.z);
-        const float* const x = rays.d[shaft_.axis(0)];
-        const float* const y = rays.d[shaft_.axis(1)];
         return {{splat(lo(rays.u) - margin), splat(hi(rays.u) + margin), splat(lo(rays.v) - margin),
                  splat(hi(rays.v) + margin), splat(far * (1 + 0x1p-20f))},
-                {{splat(lo(x)), splat(lo(y)), splat(lo(rays.z))},
-                 {splat(hi(x)), splat(hi(y)), splat(far)}}};
+                {{splat(lo(rays.x)), splat(lo(rays.y)), splat(lo(rays.z))},
+                 {splat(hi(rays.x)), splat(hi(rays.y)), splat(far)}}};
     }
 
     HWY_INLINE Bits rays_that_meet(const GroupRays& rays, const Boxes& box) const {
@@ -216,22 +222,17 @@ protected:
     };
     HWY_INLINE Passing passing(const Facets& f, int lane) const {
         Passing p{splat(infinity), splat(infinity), hn::FirstN(lanes_tag, W)};
+        const Interval u = shaft_.slopes(0), v = shaft_.slopes(1);
         for (const auto& n : f.edges) {
-            const float x = n[0][lane], y = n[1][lane];
-            const int right = x > 0, up = y > 0;
-            const Float z = splat(n[2][lane]);
-            const auto at = [&](int u, int v) HWY_ATTR {
-                return hn::MulAdd(splat(x), load(shaft_.slopes(0, u)),
-                                  hn::MulAdd(splat(y), load(shaft_.slopes(1, v)), z));
-            };
-            p.most = hn::Min(p.most, at(right, up));
-            p.least = hn::Min(p.least, at(1 - right, 1 - up));
+            const Float x = splat(n[0][lane]), y = splat(n[1][lane]), z = splat(n[2][lane]);
+            const Float middle = hn::MulAdd(x, u.middle, hn::MulAdd(y, v.middle, z));
+            const Float half = hn::MulAdd(hn::Abs(x), u.half, hn::Abs(y) * v.half);
+            p.most = hn::Min(p.most, middle + half);
+            p.least = hn::Min(p.least, middle - half);
         }
         for (int k = 0; k < 2; ++k) {
-            p.overlap =
-                hn::And(p.overlap, load(shaft_.slopes(k, 1)) >= splat(f.slopes[k][0][lane]));
-            p.overlap =
-                hn::And(p.overlap, load(shaft_.slopes(k, 0)) <= splat(f.slopes[k][1][lane]));
+            p.overlap = hn::And(p.overlap, shaft_.slopes(k, 1) >= splat(f.slopes[k][0][lane]));
+            p.overlap = hn::And(p.overlap, shaft_.slopes(k, 0) <= splat(f.slopes[k][1][lane]));
         }
         return p;
     }

@@ -60,12 +60,17 @@ struct Closest {
             closer = hn::Or(closer, mask_of(won));
         }
         if (hn::AllFalse(lanes_tag, closer)) return false;
-        hn::BlendedStore(t_new, closer, lanes_tag, t + first);
-        hn::BlendedStore(u_new, closer, lanes_tag, u + first);
-        hn::BlendedStore(v_new, closer, lanes_tag, v + first);
+        // Not stored under a mask: what is read again soon would have to wait for that.
+        store(hn::IfThenElse(closer, t_new, t_old), t + first);
+        store(hn::IfThenElse(closer, u_new, load(u + first)), u + first);
+        store(hn::IfThenElse(closer, v_new, load(v + first)), v + first);
         const auto ids = hn::RebindMask(tag, closer);
-        hn::BlendedStore(hn::Set(tag, of_instance), ids, tag, instance + first);
-        hn::BlendedStore(hn::Set(tag, of_triangle), ids, tag, triangle + first);
+        const auto name = [&](std::uint32_t id, std::uint32_t* of) HWY_ATTR {
+            hn::Store(hn::IfThenElse(ids, hn::Set(tag, id), hn::Load(tag, of + first)), tag,
+                      of + first);
+        };
+        name(of_instance, instance);
+        name(of_triangle, triangle);
         return true;
     }
 
@@ -92,10 +97,13 @@ private:
 class ExactGroup {
 public:
     /// False when the directions are largest along different axes.
-    bool set(const vec3& org, const GroupRays& rays) {
-        Float size[3];
+    bool set(const Shaft& shaft, const GroupRays& rays) {
+        const float* along[3];  // by scene axis
+        along[shaft.axis(0)] = rays.x, along[shaft.axis(1)] = rays.y, along[shaft.axis(2)] = rays.z;
         for (int k = 0; k < group_size; k += W) {
-            for (int i = 0; i < 3; ++i) size[i] = hn::Abs(load(rays.d[i] + k));
+            Float size[3];
+            for (int i = 0; i < 3; ++i) size[i] = hn::Abs(load(along[i] + k));
+            // As axes_of() decides between equals.
             const Bits x_most = bits(hn::And(size[0] > size[1], size[0] > size[2]));
             const Bits y_most = bits(hn::And(hn::Not(size[0] > size[1]), size[1] > size[2]));
             const int z = x_most == all_lanes ? 0 : y_most == all_lanes ? 1 : 2;
@@ -106,12 +114,16 @@ public:
 
         axes_[0] = axes_[2] == 2 ? 0 : axes_[2] + 1;
         axes_[1] = axes_[0] == 2 ? 0 : axes_[0] + 1;
-        for (int k = 0; k < 3; ++k) org_[k] = org[axes_[k]];
+        double sign[3] = {1, 1, 1};
+        sign[shaft.axis(2)] = shaft.sign();
+        for (int k = 0; k < 3; ++k) org_[k] = shaft.origin()[axes_[k]];
+        const Double z_sign = set(sign[axes_[2]]);
+        const Double x_sign = set(sign[axes_[0]]), y_sign = set(sign[axes_[1]]);
         for (int i = 0; i < group_size; i += half_width) {
-            const Double sz = set(1) / promoted(rays.d[axes_[2]] + i);
+            const Double sz = z_sign / promoted(along[axes_[2]] + i);
             hn::Store(sz, tag, sz_ + i);
-            hn::Store(promoted(rays.d[axes_[0]] + i) * sz, tag, sx_ + i);
-            hn::Store(promoted(rays.d[axes_[1]] + i) * sz, tag, sy_ + i);
+            hn::Store(promoted(along[axes_[0]] + i) * (x_sign * sz), tag, sx_ + i);
+            hn::Store(promoted(along[axes_[1]] + i) * (y_sign * sz), tag, sy_ + i);
         }
         return true;
     }
@@ -304,7 +316,7 @@ private:
     bool decide(const Block& block, int lane, int g, int k) {
         if (!(known_exact_ >> g & 1)) {
             known_exact_ |= Bits(1) << g;
-            if (!exact_[g].set(org_, group_rays(g))) mixed_ |= Bits(1) << g;
+            if (!exact_[g].set(shaft_, group_rays(g))) mixed_ |= Bits(1) << g;
         }
         if (!(mixed_ >> g & 1))
             return exact_[g].test(block, lane, instance_, best_, g * group_size, k);

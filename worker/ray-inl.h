@@ -436,10 +436,6 @@ private:
         leaves_.count += leaf;
     }
 
-    static HWY_INLINE void prefetch(const void* at, std::size_t bytes) {
-        for (std::size_t i = 0; i < bytes; i += 64) hwy::Prefetch(static_cast<const char*>(at) + i);
-    }
-
     const SceneObject& object_;
     std::span<const Ray> rays_;
     std::span<std::uint8_t> blocked_;

@@ -77,7 +77,10 @@ private:
             const Float extent = extent_of(boxes);
             const Bits is_narrow =
                 met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
-            for_each_bit(is_narrow, [&](int i) { stack[top++] = {node.children[i], groups}; });
+            for_each_bit(is_narrow, [&](int i) {
+                prefetch_target(node.children[i]);
+                stack[top++] = {node.children[i], groups};
+            });
             for_each_bit(met & ~is_narrow, [&](int i) HWY_ATTR {
                 const Boxes box = shaft_.child(node, i);
                 const Bits reached = bits(may_meet(box, shaft_.groups())) & groups;
@@ -89,7 +92,9 @@ private:
                     apart = reached & bits(shaft_.spreads() * box.lo[2] > splat(wide) * across);
                 }
                 for_each_bit(apart & alive_.groups, [&](int g) { walk_group(g, child); });
-                if (reached & ~apart) stack[top++] = {child, reached & ~apart};
+                if (!(reached & ~apart)) return;
+                prefetch_target(child);
+                stack[top++] = {child, reached & ~apart};
             });
         }
     }
@@ -121,7 +126,9 @@ private:
             const Bits met = bits(may_meet(shaft_.children(node), bounds.slopes));
             for_each_bit(met, [&](int i) HWY_ATTR {
                 const Bits reached = left & rays_that_meet(rays, shaft_.child(node, i));
-                if (reached) stack[top++] = {node.children[i], reached};
+                if (!reached) return;
+                prefetch_target(node.children[i]);
+                stack[top++] = {node.children[i], reached};
             });
         }
     }
@@ -179,17 +186,18 @@ private:
     /// How the groups that the shaft holds meet a triangle.
     HWY_INLINE Met groups_met(const Facets& f, int lane) const {
         const Passing p = passing(f, lane);
-        Float farthest = hn::Zero(lanes_tag), nearest = farthest;
+        Float middle = hn::Zero(lanes_tag), half = middle;
         for (int k = 0; k < 3; ++k) {
-            const float n = f.plane[k][lane];
-            const int away = n > 0;
-            farthest = hn::MulAdd(splat(n), load(shaft_.group_ends(k, away)), farthest);
-            nearest = hn::MulAdd(splat(n), load(shaft_.group_ends(k, 1 - away)), nearest);
+            const Float n = splat(f.plane[k][lane]);
+            const Interval ends = shaft_.ends(k);
+            middle = hn::MulAdd(n, ends.middle, middle);
+            half = hn::MulAdd(hn::Abs(n), ends.half, half);
         }
         const float slack = f.edge_slack[lane];
-        const Mask crosses = hn::And(p.most >= splat(-slack), farthest >= splat(f.before[lane]));
+        const Mask crosses =
+            hn::And(p.most >= splat(-slack), middle + half >= splat(f.before[lane]));
         return {bits(hn::And(p.overlap, crosses)),
-                bits(hn::And(p.least > splat(slack), nearest > splat(f.beyond[lane])))};
+                bits(hn::And(p.least > splat(slack), middle - half > splat(f.beyond[lane])))};
     }
 
     /// Blocks the rays of the groups that hit the triangle; tells whether there are any.
@@ -213,9 +221,8 @@ private:
                 };
                 const Float least = min3(distance(0), distance(1), distance(2));
                 const Float along =
-                    hn::MulAdd(plane[0], load(rays.d[shaft_.axis(0)] + k),
-                               hn::MulAdd(plane[1], load(rays.d[shaft_.axis(1)] + k),
-                                          plane[2] * load(rays.z + k)));
+                    hn::MulAdd(plane[0], load(rays.x + k),
+                               hn::MulAdd(plane[1], load(rays.y + k), plane[2] * load(rays.z + k)));
                 const Bits maybe =
                     bits(hn::And(least >= hn::Neg(slack), along >= before)) & alive_.rays[g] >> k;
                 if (!maybe) continue;
@@ -234,8 +241,7 @@ private:
                            Bits maybe) {
         const GroupRays& rays = group_rays(g);
         Bits crossed, maybe_crossed;
-        facet.crossed(rays.d[shaft_.axis(0)] + k, rays.d[shaft_.axis(1)] + k, rays.z + k, crossed,
-                      maybe_crossed);
+        facet.crossed(rays.x + k, rays.y + k, rays.z + k, crossed, maybe_crossed);
         maybe &= maybe_crossed;
         if (!maybe) return false;
         Bits inside, maybe_inside;

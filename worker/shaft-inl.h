@@ -34,6 +34,11 @@ struct Slopes {
     Float u_lo, u_hi, v_lo, v_hi, far;
 };
 
+/// Numbers that are at most `half` from `middle`, but for rounding.
+struct Interval {
+    Float middle, half;
+};
+
 /// Boxes relative to the origin, in one lane or in all.
 struct Boxes {
     Float lo[3], hi[3];
@@ -93,9 +98,11 @@ public:
         return {load(groups_[0]), load(groups_[1]), load(groups_[2]), load(groups_[3]),
                 load(groups_[4])};
     }
-    /// The groups' least and greatest slopes, u or v; and bounds of where their rays end.
-    const float* slopes(int k, int hi) const { return groups_[2 * k + hi]; }
-    const float* group_ends(int k, int hi) const { return group_ends_[k][hi]; }
+    /// The groups' least and greatest slopes, u or v.
+    Float slopes(int k, int hi) const { return load(groups_[2 * k + hi]); }
+    /// The same as intervals, and those along each axis in which the groups' rays end.
+    Interval slopes(int k) const { return slope_intervals_[k].get(); }
+    Interval ends(int k) const { return end_intervals_[k].get(); }
     /// The z where the longest ray of a group ends.
     float far(int g) const { return groups_[4][g]; }
     /// How far the groups' rays stand apart at z = 1.
@@ -124,6 +131,16 @@ private:
         if (sign_ > 0) return {{lo(x), lo(y), lo(z)}, {hi(x), hi(y), hi(z)}};
         return {{lo(x), lo(y), hn::Neg(hi(z))}, {hi(x), hi(y), hn::Neg(lo(z))}};
     }
+    struct StoredInterval {
+        alignas(64) float middle[W], half[W];
+
+        void set(Float lo, Float hi) {
+            store(splat(0.5f) * (lo + hi), middle);
+            store(splat(0.5f) * (hi - lo), half);
+        }
+        Interval get() const { return {load(middle), load(half)}; }
+    };
+
     Bits choose_axis(const Boxes& ends, Bits wanted);
     template <class Lanes>
     void bound_slopes(Lanes&& lanes, Bits carried);
@@ -135,10 +152,11 @@ private:
     float widening_;  ///< what slopes are widened by against boxes
     float longest_;   ///< bounds the directions' coordinates
     float reach_;
-    float ends_lo_[3], ends_hi_[3];          ///< bound the directions, by scene axis
-    float chunk_[5], chunk_spread_;          ///< Slopes of all rays; how far they stand apart
-    alignas(64) float group_ends_[3][2][W];  ///< [axis, permuted][lo, hi]
-    alignas(64) float groups_[5][W];         ///< Slopes
+    float ends_lo_[3], ends_hi_[3];    ///< bound the directions, by scene axis
+    float chunk_[5], chunk_spread_;    ///< Slopes of all rays; how far they stand apart
+    StoredInterval end_intervals_[3];  ///< by axis, permuted
+    StoredInterval slope_intervals_[2];
+    alignas(64) float groups_[5][W];  ///< Slopes
     alignas(64) float spread_[W];
 };
 
@@ -161,8 +179,8 @@ inline Bits Shaft::choose_axis(const Boxes& ends, Bits wanted) {
     axes_[0] = (axes_[2] + 1) % 3;
     axes_[1] = (axes_[2] + 2) % 3;
     const Boxes e = permuted([&](int k) { return ends.lo[k]; }, [&](int k) { return ends.hi[k]; });
-    for (int k = 0; k < 3; ++k)
-        store(e.lo[k], group_ends_[k][0]), store(e.hi[k], group_ends_[k][1]);
+    for (int k = 0; k < 3; ++k) end_intervals_[k].set(e.lo[k], e.hi[k]);
+    store(e.hi[2] * splat(1 + 0x1p-20f), groups_[4]);
     const Float aside = hn::Max(hn::Max(hn::Abs(e.lo[0]), hn::Abs(e.hi[0])),
                                 hn::Max(hn::Abs(e.lo[1]), hn::Abs(e.hi[1])));
     // What is not a number is not sound.
@@ -222,7 +240,8 @@ void Shaft::bound_slopes(Lanes&& lanes, Bits carried) {
     store(u_hi + margin, groups_[1]);
     store(v_lo - margin, groups_[2]);
     store(v_hi + margin, groups_[3]);
-    store(load(group_ends_[2][1]) * splat(1 + 0x1p-20f), groups_[4]);
+    slope_intervals_[0].set(u_lo - margin, u_hi + margin);
+    slope_intervals_[1].set(v_lo - margin, v_hi + margin);
     for (const int i : {0, 2}) chunk_[i] -= widening_;
     for (const int i : {1, 3}) chunk_[i] += widening_;
     chunk_[4] = (sign_ > 0 ? ends_hi_[axes_[2]] : -ends_lo_[axes_[2]]) * (1 + 0x1p-20f);

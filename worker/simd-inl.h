@@ -90,6 +90,10 @@ HWY_INLINE Float min_or_second(Float a, Float b) {
 #endif
 }
 
+HWY_INLINE void prefetch(const void* at, std::size_t bytes) {
+    for (std::size_t i = 0; i < bytes; i += 64) hwy::Prefetch(static_cast<const char*>(at) + i);
+}
+
 /// Right to 2^-21 and better.
 HWY_INLINE Float reciprocal(Float x) {
     const Float r = hn::ApproximateReciprocal(x);
