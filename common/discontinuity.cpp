@@ -42,7 +42,9 @@ public:
                    .reach = std::size_t(reach_),
                    .cosine = filter.normal_cosine,
                    .plane_tolerance = filter.plane_pixels * rays_.pixel_angle,
-                   .pixel_angle = rays_.pixel_angle};
+                   .pixel_angle = rays_.pixel_angle,
+                   .across = rays_.across,
+                   .down = rays_.down};
     }
 
     void run(std::span<float> filtered) {
@@ -51,12 +53,7 @@ public:
             prepare(y + reach_);
             for (int dy = -reach_; dy <= reach_; ++dy)
                 window_.rows[std::size_t(dy + reach_)] = &row(y + dy);
-            for (int x = rect_.x0; x < rect_.x1; x += int(block_pixels)) {
-                float block[3 * block_pixels];
-                filter_block(window_, std::size_t(x - rect_.x0) / block_pixels, block);
-                std::copy_n(block, 3 * std::min(int(block_pixels), rect_.x1 - x),
-                            &filtered[3 * index(x, y)]);
-            }
+            filter_row(window_, std::size_t(rect_.width()), &filtered[3 * index(rect_.x0, y)]);
         }
     }
 
@@ -80,9 +77,8 @@ private:
 
 void RectFilter::prepare(int y) {
     GuideRow& out = row(y);
-    out.forget();
     const Rect& area = pass_.area;
-    if (y < area.y0 || y >= area.y1) return;
+    if (y < area.y0 || y >= area.y1) return out.forget();
     const int x0 = std::max(rect_.x0 - reach_, area.x0);
     const int x1 = std::min(rect_.x1 + reach_, area.x1);
     const std::size_t from = index(x0, y);
@@ -94,7 +90,8 @@ void RectFilter::prepare(int y) {
                          .x = x0,
                          .corner = rays_.corner + float(y) * rays_.down,
                          .across = rays_.across};
-    prepare_row(pixels, std::size_t(x0 - rect_.x0 + reach_), std::size_t(reach_), out);
+    prepare_row(pixels, out.margin + std::size_t(x0) - std::size_t(rect_.x0), std::size_t(reach_),
+                window_.cosine, out);
 }
 
 }  // namespace

@@ -5,7 +5,9 @@
 // that show another surface. Only irradiance is filtered, so neither textures nor materials blur.
 //
 // Differences: the thesis tells surfaces apart by hit distance alone. We ask for the same surface
-// id (instance, object, path length), similar normals, and a hit in the same plane.
+// id (instance, object, path length), similar normals, and a hit in the same plane or at nearly the
+// same depth, where depth is along the direction of view, so that a pixel is as wide anywhere at
+// it.
 //
 // Bias: where the window is complete, the mean has the expectation of the irradiance averaged over
 // the window, each set weighing the same. Where neighbours are left out, or cut off at the border

@@ -1208,9 +1208,32 @@ Bytes serialise(std::uint16_t kind, const Wire& message, std::size_t payload_byt
     return head;
 }
 
+/// Where a message's parts lie as long as it is encoded or decoded: not on
+/// the heap, unless they are large.
+class Scratch {
+public:
+    template <class Wire>
+    Wire& make() {
+        return *google::protobuf::Arena::CreateMessage<Wire>(&arena_);
+    }
+
+private:
+    google::protobuf::ArenaOptions options() {
+        google::protobuf::ArenaOptions out;
+        out.initial_block = first_.data();
+        out.initial_block_size = first_.size();
+        out.max_block_size = 1 << 20;
+        return out;
+    }
+
+    alignas(8) std::array<char, 16 << 10> first_;
+    google::protobuf::Arena arena_{options()};
+};
+
 template <class Entry>
 MessageBody parse(std::span<const std::byte> bytes) {
-    typename Entry::Wire in;
+    Scratch scratch;
+    auto& in = scratch.make<typename Entry::Wire>();
     if (!in.ParseFromArray(bytes.data(), int(bytes.size()))) refuse("no valid Protocol Buffers");
     typename Entry::Value value;
     unpack(in, value);
@@ -1222,7 +1245,8 @@ MessageBody parse(std::span<const std::byte> bytes) {
 EncodedMessage encode(Message message) {
     EncodedMessage out;
     const auto pack_body = [&]<class Entry>(Entry) {
-        typename Entry::Wire body;
+        Scratch scratch;
+        auto& body = scratch.make<typename Entry::Wire>();
         pack(std::get<typename Entry::Value>(message.body), body);
         out.head = serialise(Entry::kind, body, message.payload.bytes.size());
     };

@@ -87,6 +87,38 @@ Pass random_pass(ImageSize size, int window, unsigned seed) {
     return pass;
 }
 
+/// A smooth ball, one of facets, a floor with a step, wires, a mirror's image, and nothing.
+Pass things_pass(ImageSize size, int window) {
+    Pass pass = floor_pass(size, window);
+    std::mt19937 random(unsigned(window) + 20);
+    for (float& e : pass.irradiance) e = float(random() % 1000) / 999;
+    const auto put = [&](std::size_t p, std::uint32_t surface, const vec3& n, float depth) {
+        pass.surface[p] = std::bit_cast<float>(surface);
+        for (int k = 0; k < 3; ++k) pass.normal[3 * p + std::size_t(k)] = n[k];
+        pass.depth[p] = depth;
+    };
+    const vec3 eye = pass.filter.camera.eye, centre{0, 0, 0.5f};
+    for (int y = 0; y < size.height; ++y)
+        for (int x = 0; x < size.width; ++x) {
+            const std::size_t p = pass.at(x, y);
+            const vec3 ray = eye_ray(pass.filter, x, y);
+            if ((eye + ray * pass.depth[p]).x > 1) pass.depth[p] *= 1 - 0.1f / eye.z;
+            const float b = dot(eye - centre, ray);
+            const float inside = b * b - dot(eye - centre, eye - centre) + 1;
+            if (inside > 0) {
+                const float depth = -b - std::sqrt(inside);
+                const vec3 n = eye + ray * depth - centre;
+                const vec3 facet = normalize(glm::round(5.0f * n));
+                put(p, 8, x < size.width / 2 ? n : facet, depth);
+            }
+            if (x % 29 == 3) put(p, 9, {0, -1, 0}, 0.5f * pass.depth[p]);
+            if (y > size.height * 3 / 4 && x < size.width / 4)
+                put(p, 10, normalize(vec3(0, 0.3f, 1)), pass.depth[p] * 1.5f);
+            if (y < size.height / 8) put(p, 0, vec3(0), infinity);
+        }
+    return pass;
+}
+
 vec3 vec(const std::vector<float>& v, std::size_t i) {
     return {v[3 * i], v[3 * i + 1], v[3 * i + 2]};
 }
@@ -106,10 +138,13 @@ vec3 reference(const Pass& pass, int x, int y) {
             const std::size_t q = pass.at(qx, qy);
             if (!is_finite(vec(pass.irradiance, q))) continue;
             const vec3 n = vec(pass.normal, p);
-            const vec3 d = eye_ray(f, qx, qy) * pass.depth[q] - eye_ray(f, x, y) * pass.depth[p];
-            const bool flat = std::abs(dot(n, d)) <= f.plane_pixels * pixel * pass.depth[p] ||
-                              std::abs(pass.depth[q] - pass.depth[p]) <=
-                                  float(std::abs(dx) + std::abs(dy)) * pixel * pass.depth[p];
+            const vec3 hit_p = eye_ray(f, x, y) * pass.depth[p];
+            const vec3 hit_q = eye_ray(f, qx, qy) * pass.depth[q];
+            const vec3 forward = normalize(f.camera.at - f.camera.eye);
+            const float z = dot(forward, eye_ray(f, x, y)) * pass.depth[p];
+            const float beyond = dot(forward, eye_ray(f, qx, qy)) * pass.depth[q] - z;
+            const bool flat = std::abs(dot(n, hit_q - hit_p)) <= f.plane_pixels * pixel * z ||
+                              std::abs(beyond) <= float(std::abs(dx) + std::abs(dy)) * pixel * z;
             const bool same = std::bit_cast<std::uint32_t>(pass.surface[p]) ==
                                   std::bit_cast<std::uint32_t>(pass.surface[q]) &&
                               dot(n, vec(pass.normal, q)) >= f.normal_cosine && flat;
@@ -192,6 +227,29 @@ TEST(Discontinuity, any_cut_into_rectangles_gives_the_same_bits) {
     EXPECT_EQ(whole, pieces);
 }
 
+/// Expects the same bits of every instruction set and of strips of these widths, and the plain
+/// loop's result within rounding.
+void expect_same_everywhere(const Pass& pass, const std::vector<int>& widths) {
+    const ImageSize size = pass.filter.picture;
+    const std::vector<float> whole = pass.filtered();
+    for (int y = 0; y < size.height; ++y)
+        for (int x = 0; x < size.width; ++x)
+            ASSERT_LT(max_component(glm::abs(reference(pass, x, y) - vec(whole, pass.at(x, y)))),
+                      1e-5f)
+                << x << "," << y;
+    for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
+        hwy::SetSupportedTargetsForTest(target);
+        for (const int width : widths) {
+            std::vector<float> pieces(whole.size());
+            for (int x = 0; x < size.width; x += width)
+                filter_irradiance(pass.filter, pass.view(),
+                                  {x, 0, std::min(x + width, size.width), size.height}, pieces);
+            ASSERT_EQ(whole, pieces) << width;
+        }
+    }
+    hwy::SetSupportedTargetsForTest(0);
+}
+
 /// Rows of one plane are added in advance, wherever the blocks that they reach begin.
 TEST(Discontinuity, surfaces_with_few_flaws_get_the_same_bits_on_every_instruction_set) {
     for (const int window : {3, 5, 9}) {
@@ -206,24 +264,22 @@ TEST(Discontinuity, surfaces_with_few_flaws_get_the_same_bits_on_every_instructi
             if (flaw % 4 == 3) pass.irradiance[3 * p] = infinity;
         }
         for (int x = 60; x < 90; ++x) pass.surface[pass.at(x, 20)] = std::bit_cast<float>(9u);
-        const std::vector<float> whole = pass.filtered();
-        for (int y = 0; y < 40; ++y)
-            for (int x = 0; x < 90; ++x)
-                ASSERT_LT(
-                    max_component(glm::abs(reference(pass, x, y) - vec(whole, pass.at(x, y)))),
-                    1e-5f);
-        for (const std::int64_t target : hwy::SupportedAndGeneratedTargets()) {
-            hwy::SetSupportedTargetsForTest(target);
-            for (const int width : {1, 7, 16, 33, 90}) {
-                std::vector<float> pieces(whole.size());
-                for (int x = 0; x < 90; x += width)
-                    filter_irradiance(pass.filter, pass.view(), {x, 0, std::min(x + width, 90), 40},
-                                      pieces);
-                ASSERT_EQ(whole, pieces) << width;
-            }
-        }
-        hwy::SetSupportedTargetsForTest(0);
+        expect_same_everywhere(pass, {1, 7, 16, 33, 90});
     }
+}
+
+TEST(Discontinuity, curves_creases_steps_wires_and_mirrors_equal_the_plain_double_loop) {
+    expect_same_everywhere(things_pass({75, 24}, 9), {7, 33});
+    expect_same_everywhere(things_pass({60, 12}, 33), {25});  // the widest that is grouped
+}
+
+TEST(Discontinuity, a_pixel_of_no_depth_keeps_its_own) {
+    Pass pass = floor_pass({32, 16}, 5);
+    pass.depth[pass.at(9, 8)] = std::nanf("");
+    pass.irradiance[3 * pass.at(9, 8)] = 4;
+    const std::vector<float> filtered = pass.filtered();
+    EXPECT_EQ(vec(filtered, pass.at(9, 8)), vec3(4, 1, 1));
+    EXPECT_EQ(vec(filtered, pass.at(10, 8)), vec3(1));
 }
 
 TEST(Discontinuity, a_tile_with_its_border_is_filtered_as_in_the_whole_picture) {

@@ -116,7 +116,7 @@ BENCHMARK_CAPTURE(render_a_picture, kitchen, "kitchen")->Arg(0)->Arg(1);
 void filter_a_pass(benchmark::State& state, const char* scene) {
     const SceneBundle bundle = *generate_scene(scene);
     Renderer renderer(bundle.scene, bundle.blobs, {});
-    const FrameSpec spec = first_view(bundle, {960, 540}, 1);
+    const FrameSpec spec = first_view(bundle, picture, 1);
     renderer.begin_frame(spec);
     const ChannelSet channels = tile_channels(spec);
     std::vector<float> planes(spec.size.pixels() * std::size_t(floats_per_pixel(channels)));
@@ -141,21 +141,10 @@ void filter_a_pass(benchmark::State& state, const char* scene) {
     for (const float e : filtered) CHECK(std::isfinite(e));
     state.SetItemsProcessed(state.iterations() * std::int64_t(spec.size.pixels()));
 }
-BENCHMARK_CAPTURE(filter_a_pass, cornell, "cornell")
-    ->Arg(3)
-    ->Arg(5)
-    ->Arg(9)
-    ->Unit(benchmark::kMillisecond);
-BENCHMARK_CAPTURE(filter_a_pass, office, "office")
-    ->Arg(3)
-    ->Arg(5)
-    ->Arg(9)
-    ->Unit(benchmark::kMillisecond);
-BENCHMARK_CAPTURE(filter_a_pass, kitchen, "kitchen")
-    ->Arg(3)
-    ->Arg(5)
-    ->Arg(9)
-    ->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(filter_a_pass, cornell, "cornell")->Arg(9)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(filter_a_pass, building, "building:1")->Arg(9)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(filter_a_pass, kitchen, "kitchen")->Arg(9)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(filter_a_pass, office, "office")->Arg(9)->Unit(benchmark::kMillisecond);
 
 void draw_sample_points(benchmark::State& state) {
     vec2 sum(0);
