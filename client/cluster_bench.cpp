@@ -81,6 +81,7 @@ private:
     std::optional<SyntheticWorkers> synthetic_;
     RenderClientConfig client_;
     std::shared_ptr<LoadScript> script_ = std::make_shared<LoadScript>();
+    asio::io_context io_{1};  ///< of the viewers
     std::vector<std::shared_ptr<LoadViewer>> viewers_;
 };
 
@@ -168,12 +169,11 @@ std::uint64_t Load::bytes_from_workers() {
 }
 
 ClusterBenchRow Load::measure() {
-    asio::io_context io(1);
     std::exception_ptr failure;
     for (int i = 0; i < config_.viewers; ++i) {
         viewers_.push_back(
             std::make_shared<LoadViewer>(client_, script_, std::size_t(i), config_.in_flight));
-        asio::co_spawn(io, viewers_.back()->run(bundle_), [&](std::exception_ptr error) {
+        asio::co_spawn(io_, viewers_.back()->run(bundle_), [&](std::exception_ptr error) {
             if (error) failure = error;
         });
     }
@@ -200,7 +200,7 @@ ClusterBenchRow Load::measure() {
     };
     try {
         while (elapsed() < config_.seconds && !failure) {
-            io.run_for(tick);
+            io_.run_for(tick);
             interrupt_.check();
             if (!row.early && elapsed() >= config_.seconds / 10) look_at_server(row.early);
             if (victims.size() < faults.size() && elapsed() >= faults[victims.size()].first) {
@@ -237,7 +237,7 @@ ClusterBenchRow Load::measure() {
     for (std::size_t i = 0; i < fault_times.size(); ++i)
         row.faults[i].recovery = recovery(fault_times[i], frames, percentiles(usual).p50);
     for (const auto& viewer : viewers_) viewer->stop();
-    io.run_for(tick);
+    io_.run_for(tick);
     return row;
 }
 

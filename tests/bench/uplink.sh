@@ -66,8 +66,8 @@ import json, sys
 row = json.load(open(sys.argv[1]))["results"][0]
 count, sent, views = map(int, sys.argv[2:5])
 frames = row["frames"] + 2 * views  # each view is rendered twice before
-final = row["latency_final_s"]
-print(f"{count:8} {row['frames_per_s']:9.2f} {1e3 * final['p50']:13.0f} / {1e3 * final['p95']:6.0f} "
+median, slow = (1e3 * (row["latency_final_s"][q] or 0) for q in ("p50", "p95"))  # of no frames none
+print(f"{count:8} {row['frames_per_s']:9.2f} {median:13.0f} / {slow:6.0f} "
       f"{1e-3 * sent / frames:20.0f} {1e-3 * sent / frames / count:17.1f}", file=sys.stderr)
 print(row["frames_per_s"] if sys.argv[5] == "frames" else frames / sent)
 PY
