@@ -154,14 +154,6 @@ protected:
         return groups & ~std::exchange(visit.groups, visit.groups | groups);
     }
 
-    /// Asks memory for what is soon to be visited.
-    HWY_INLINE void prefetch_target(WideLink link) const {
-        if (link.is_leaf())
-            prefetch(&object_.blocks[link.first()], sizeof(Block::corners));
-        else
-            prefetch(&object_.tree.nodes[link.first()], sizeof(Node));
-    }
-
     const GroupRays& group_rays(int g) {
         GroupRays& out = group_rays_[g];
         if (known_rays_ >> g & 1) return out;

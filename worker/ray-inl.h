@@ -34,6 +34,14 @@ using Block = TriangleBlock<W>;
 using SceneObject = WideObject<W>;
 using Scene = WideScene<W>;
 
+/// Asks memory for what is soon to be visited.
+HWY_INLINE void prefetch_target(const SceneObject& object, WideLink link) {
+    if (link.is_leaf())
+        prefetch(&object.blocks[link.first()], sizeof(Block::corners));
+    else
+        prefetch(&object.tree.nodes[link.first()], sizeof(Node));
+}
+
 /// Other rays would meet every box, only to miss every triangle.
 HWY_INLINE bool is_sound(const Ray& ray) { return is_finite(ray.org) && is_finite(ray.dir); }
 
@@ -465,10 +473,7 @@ private:
 
     HWY_INLINE void place(Walk& walk) {
         const bool leaf = walk.next.is_leaf();
-        if (leaf)
-            prefetch(&object_.blocks[walk.next.first()], sizeof(Block::corners));
-        else
-            prefetch(&object_.tree.nodes[walk.next.first()], sizeof(Node));
+        prefetch_target(object_, walk.next);
         nodes_.walks[nodes_.count] = leaves_.walks[leaves_.count] = &walk;
         nodes_.count += !leaf;
         leaves_.count += leaf;

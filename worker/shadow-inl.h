@@ -78,7 +78,7 @@ private:
             const Bits is_narrow =
                 met & bits(splat(shaft_.spread()) * boxes.hi[2] < splat(narrow) * extent);
             for_each_bit(is_narrow, [&](int i) {
-                prefetch_target(node.children[i]);
+                prefetch_target(object_, node.children[i]);
                 stack[top++] = {node.children[i], groups};
             });
             for_each_bit(met & ~is_narrow, [&](int i) HWY_ATTR {
@@ -93,7 +93,7 @@ private:
                 }
                 for_each_bit(apart & alive_.groups, [&](int g) { walk_group(g, child); });
                 if (!(reached & ~apart)) return;
-                prefetch_target(child);
+                prefetch_target(object_, child);
                 stack[top++] = {child, reached & ~apart};
             });
         }
@@ -127,7 +127,7 @@ private:
             for_each_bit(met, [&](int i) HWY_ATTR {
                 const Bits reached = left & rays_that_meet(rays, shaft_.child(node, i));
                 if (!reached) return;
-                prefetch_target(node.children[i]);
+                prefetch_target(object_, node.children[i]);
                 stack[top++] = {node.children[i], reached};
             });
         }
